@@ -2,7 +2,7 @@
 
 A cell of the vector area a = F_1 x F_2 per reference area shows the front v = |a . w| to a wind along w, so that it is
 1/v layers there; cells before and behind its middle add theirs. Each of n layers takes 1/n of q C_D per area of the
-front, with C_D of n layers (`macro_fem.scene.wind`) and q = rho v^2 / 2.
+front, with C_D of n layers (`macro_fem.scene.loads`) and q = rho v^2 / 2.
 
 Wind that follows presses along a: a pressure per present area, a speed by its component along the normal,
 q C_D (a . w / |a|)^2, on 1/|a| layers.
@@ -20,10 +20,16 @@ from macro_fem.fem.assembly import gradient, load_vector
 from macro_fem.fem.cells import cross, recovered
 from macro_fem.fem.discretization import Discretization, discretize
 from macro_fem.problem import CurtainProblem
-from macro_fem.scene.loads import PER_MM2
+from macro_fem.scene.loads import (
+    PER_MM2,
+    dynamic_pressure,
+    layered_drag,
+    layered_solidity,
+    ring_solidity,
+    wind_pressure,
+)
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.tables import Wind
-from macro_fem.scene.wind import dynamic_pressure, layered_drag, layered_solidity, ring_solidity, wind_pressure
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError
 

@@ -37,9 +37,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MembraneSolution(Solution):
-    """A solved scene: `steps`, the curtain at each load step, the last one at full load; `levels` of a scene that asks
-    for bounds, each a finer mesh than the one before; `demand` of one whose law was asked of the rings; `combinations`:
-    the answer to each combination of loads.
+    """A solved scene: the curtain at each of the load `steps`; `levels` of a scene that asks for bounds, each a finer
+    mesh than the one before; `demand` of one whose law was asked of the rings; the answers to `combinations` of loads.
     """
 
     scene: Scene
@@ -55,8 +54,7 @@ class MembraneSolution(Solution):
 
     @cached_property
     def loaded(self) -> CurtainSolution:
-        """The curtain at full load with the forces that files and pictures show: those of elastic rings where rigid
-        ones leave them open (`macro_fem.elastic_forces`), found in a second step when first asked for."""
+        """The curtain at full load, with forces of elastic rings where rigid ones leave them open, found when asked."""
         return with_forces(self.solution)
 
     @property
@@ -146,21 +144,18 @@ class MembraneSolution(Solution):
         summary["order"] = order(self.loaded, summary)
         summary["features"] = files.features(self.loaded, bounds=bool(self.levels), picture=picture)
         if len(self.steps) > 1:
-            count = len(self.steps)
-            summary["steps"] = [_step_line(one, step, count) for step, one in enumerate(self.steps, 1)]
+            summary["steps"] = [
+                {
+                    "step": step,
+                    "factor": step / len(self.steps),
+                    "status": one.status,
+                    "mean_height_mm": one.mean_height(),
+                    "lowest_point_mm": float(one.x[:, 1].min()),
+                    "potential_primal_N_mm": one.primal,
+                }
+                for step, one in enumerate(self.steps, 1)
+            ]
         return summary
-
-
-def _step_line(solution: CurtainSolution, step: int, steps: int) -> dict[str, Any]:
-    """What the summary says of one load step."""
-    return {
-        "step": step,
-        "factor": step / steps,
-        "status": solution.status,
-        "mean_height_mm": solution.mean_height(),
-        "lowest_point_mm": float(solution.x[:, 1].min()),
-        "potential_primal_N_mm": solution.primal,
-    }
 
 
 def order(solution: CurtainSolution, summary: dict[str, Any]) -> dict[str, Any]:
@@ -171,14 +166,12 @@ def order(solution: CurtainSolution, summary: dict[str, Any]) -> dict[str, Any]:
     the material where the law does not tell the strength of rings. `hooks` counts the points
     that are held one by one, `hook_pitch_mm` is their distance along the mesh, None where there is no row of them.
     """
-    corners = solution.problem.mesh.mesh.p
-    width, height = np.ptp(corners, axis=1).tolist()
-    area = float(solution.problem.disc.cell_area.sum())
+    width, height = np.ptp(solution.problem.mesh.mesh.p, axis=1).tolist()
     single = [one for one in summary["support_forces"] if "largest_force_per_ring_N" in one]
     return {
         "mesh_width_mm": width,
         "mesh_height_mm": height,
-        **_counts(area, summary),
+        **_rings(float(solution.problem.disc.cell_area.sum()), summary),
         "mass_kg": summary["mass_kg"],
         "hooks": sum(one["nodes_held"] for one in single),
         "hook_pitch_mm": next((one["pitch_mm"] for one in single if "pitch_mm" in one), None),
@@ -188,7 +181,7 @@ def order(solution: CurtainSolution, summary: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _counts(area: float, summary: dict[str, Any]) -> dict[str, Any]:
+def _rings(area: float, summary: dict[str, Any]) -> dict[str, Any]:
     """The rings and their weave, and how many cells and rings are on an area in mm2."""
     try:
         cell = read_told(summary, "").cell("")

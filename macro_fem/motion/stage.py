@@ -11,12 +11,11 @@ from macro_fem.fem.assembly import load_vector
 from macro_fem.motion.scheme import Moment
 from macro_fem.motion.step import Forces
 from macro_fem.problem import CurtainProblem
-from macro_fem.scene.loads import PER_MM2, areal_mass, edge_shares, nodal_forces
+from macro_fem.scene.loads import BREEZE, PER_MM2, areal_mass, breeze, edge_shares, nodal_forces
 from macro_fem.scene.moving import Ball, Thrown, at_time
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Bar, Timed, Wind
-from macro_fem.scene.wind import BREEZE, breeze
 from macro_fem.solvers.cones import green_strain
 from rve.common import Array, InputError
 

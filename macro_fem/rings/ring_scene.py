@@ -17,7 +17,7 @@ from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.discretization import discretize
 from macro_fem.scene.checks import check_sizes
-from macro_fem.scene.loads import PER_MM2, areal_mass, edge_shares, nodal_forces, weight_per_area, wind_per_area
+from macro_fem.scene.loads import PER_MM2, areal_mass, breeze, edge_shares, nodal_forces, weight_per_area, wind_per_area
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import is_flat
 from macro_fem.scene.schema import Scene
@@ -25,7 +25,6 @@ from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.sites import Sliding, edge_nodes
 from macro_fem.scene.supports import build_supports, pin_sliding, told
 from macro_fem.scene.tables import Bar, Wind, in_3d
-from macro_fem.scene.wind import breeze
 from macro_fem.solution import CurtainSolution
 from rve import Cell, FiniteMesh, FiniteOptions, FiniteSolution, HalfSpace, cell_of_sides, solve_table
 from rve.common import Array, InputError

@@ -43,11 +43,8 @@ def _contradictions(scene: Scene) -> Iterator[str]:
                 yield f"{item.where} move = {list(move)}: has no effect along {axis}, as held = {held!r}"
         if held == "z" and not scene.in_space:
             yield f"{item.where} held = 'z': holds nothing, as the scene lies in the plane"
-    if (
-        scene.start is not None
-        and not any(wind.follows for wind in scene.of(Wind))
-        and all(map(is_flat, scene.obstacle))
-    ):
+    is_shaped = any(wind.follows for wind in scene.of(Wind)) or not all(map(is_flat, scene.obstacle))
+    if scene.start is not None and not is_shaped:
         yield "[start]: has no effect without bodies and following pressure"
     changes = any(any(getattr(item, "move", ())) or getattr(item, "grows", False) for item in scene.items)
     if steps > 1 and not changes:
@@ -108,25 +105,19 @@ def check_sizes(scene: Scene, r1: float | None) -> None:
     """
     if r1 is None:
         return
-    of_ring = f"the diameter of a ring, {2.0 * r1:g} mm"
-    sizes = [(where, value, 2.0 * r1, of_ring) for where, value in _lengths(scene)]
-    sizes += [
-        (f"{one.where} width", 2.0 * one.breadth, r1, f"the radius of a ring, {r1:g} mm") for one in scene.of(Body)
-    ]
-    for where, value, least, what in sizes:
-        if value < least:
-            meant = f"lengths are in mm, did you mean {1e3 * value:g}?"
-            raise InputError(f"{scene.source}: {where} = {value:g}: is less than {what}; {meant}")
-
-
-def _lengths(scene: Scene) -> Iterator[tuple[str, float]]:
-    """Names and values of lengths of the sheet, mm."""
+    sizes: list[tuple[str, float]] = [(f"{one.where} pitch", one.pitch) for one in scene.of(Hanging) if one.pitch]
     curtain = scene.curtain
     if isinstance(curtain, Disk):
-        yield "[curtain] radius", curtain.radius
+        sizes.insert(0, ("[curtain] radius", curtain.radius))
     elif not isinstance(curtain, MeshFile):
         name = "[curtain]" if isinstance(curtain, Rectangle) else "[curtain] outline: its"
-        yield from zip((f"{name} width", f"{name} height"), np.ptp(curtain.corners(1), axis=0).tolist(), strict=True)
-    for item in scene.of(Hanging):
-        if item.pitch is not None:
-            yield f"{item.where} pitch", item.pitch
+        width, height = np.ptp(curtain.corners(1), axis=0).tolist()
+        sizes = [(f"{name} width", width), (f"{name} height", height), *sizes]
+    limits = [(where, value, 2.0 * r1, "diameter") for where, value in sizes]
+    limits += [(f"{one.where} width", 2.0 * one.breadth, r1, "radius") for one in scene.of(Body)]
+    for where, value, least, what in limits:
+        if value < least:
+            raise InputError(
+                f"{scene.source}: {where} = {value:g}: is less than the {what} of a ring, {least:g} mm; lengths are in "
+                f"mm, did you mean {1e3 * value:g}?"
+            )

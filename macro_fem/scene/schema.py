@@ -31,8 +31,8 @@ LISTS: dict[str, type[Item]] = {"support": support_kinds.Support, "obstacle": Ob
 class Scene:
     """The sheet, and the `items` that hold, load and meet it, in any order.
 
-    `material`: of the rings, in place of the law's (`homogenize.with_material`). `source` names the scene's file in
-    messages and is where relative mesh files are looked for.
+    `material`: of the rings, in place of the law's (`homogenize.with_material`). `source` names the scene's file, in
+    whose folder relative mesh files are.
 
     >>> from macro_fem import Bar, Hooks, Rectangle
     >>> Scene(Rectangle(3000, 2500), [Hooks(pitch=200), Bar(mass=12)]).support[0].pitch
@@ -114,12 +114,12 @@ class Scene:
 
     def hung_by(self, kind: str, **keys: Any) -> Scene:
         """The scene with one more support of a kind of [[support]], its keys by name; InputError as for a file."""
-        more = read_kinds({"kind": kind, **keys}, Support.kinds, "support", self.source)
+        more = read_records({"kind": kind, **keys}, Support.kinds, f"{self.source}: [support]")
         return replace(self, items=(*self.items, *more))
 
     def loaded_by(self, kind: str, **keys: Any) -> Scene:
         """The scene with one more load, "bar", "point", "patch", "edge" or "wind", as in [[load.KIND]]."""
-        more = read_kinds({"kind": kind, **keys}, LiveLoad.kinds, "load", self.source)
+        more = read_records({"kind": kind, **keys}, LiveLoad.kinds, f"{self.source}: [load]")
         return replace(self, items=(*self.items, *more))
 
     def _repr_html_(self) -> str:
@@ -145,14 +145,16 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     if not isinstance(load, dict):
         raise InputError(f"{source}: [load] is not a table")
     refuse_unknown(load, ("gravity", "steps", *LiveLoad.kinds), f"{source}: [load]")
-    items = [item for name, base in LISTS.items() for item in read_kinds(data.get(name, []), base.kinds, name, source)]
+    items = []
+    for name, base in LISTS.items():
+        items += read_records(data.get(name, []), base.kinds, f"{source}: [{name}]")
     for name, kind in LiveLoad.kinds.items():
-        items += _read_each(kind, load.get(name, []), f"{source}: [load.{name}]")
+        items += read_records(load.get(name, []), kind, f"{source}: [load.{name}]")
     single = data | {"load": {key: value for key, value in load.items() if key not in LiveLoad.kinds}}
     curtain = {"shape": "rectangle"} | data["curtain"] if isinstance(data["curtain"], dict) else data["curtain"]
     if isinstance(curtain, dict) and curtain.get("shape") == "dxf":
         curtain = _from_dxf(curtain, Path(source))
-    shape = read_kinds(curtain, Shape.kinds, "curtain", source, "shape")[0]
+    shape = read_records(curtain, Shape.kinds, f"{source}: [curtain]", "shape")[0]
     parts: dict[str, Any] = {
         name: read_typed(cls, single[name], f"{source}: [{name}]") for name, cls in PARTS.items() if name in single
     }
@@ -160,7 +162,7 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
         if isinstance(shape, MeshFile) and key in data.get("mesh", {}):
             raise InputError(f'{source}: [mesh] {key} = {data["mesh"][key]!r}: has no effect with shape = "file"')
     material = described(data.get("material", {}), f"{source}: [material]")
-    combinations = _read_each(Combination, data.get("combination", []), f"{source}: [combination]")
+    combinations = read_records(data.get("combination", []), Combination, f"{source}: [combination]")
     scene = Scene(shape, tuple(items), **parts, material=material, combination=tuple(combinations), source=Path(source))
     check_scene(scene)
     return scene
@@ -175,32 +177,27 @@ def _from_dxf(curtain: dict[str, Any], source: Path) -> dict[str, Any]:
     return {"shape": "outline"} | read_outline(source.parent / file) | rest
 
 
-def read_kinds(
-    tables: Any, kinds: Mapping[str, type[Any]], name: str, source: str | Path, word: str = "kind"
+def read_records(
+    tables: Any, kinds: type[Typed] | Mapping[str, type[Any]], where: str, word: str = "kind"
 ) -> list[Any]:
-    """The records of [[name]], whose class each `kind` says; InputError for a kind, key or value without sense."""
-    found = []
-    for table in _entries(tables, f"{source}: [{name}]"):
-        if not isinstance(table, dict):
-            raise InputError(f"{source}: [{name}] = {shown(table)}: is not a table")
-        kind = table.get(word)
-        if not isinstance(kind, str) or kind not in kinds:
-            raise InputError(f"{source}: [{name}] {word} = {shown(kind)}: is not one of {', '.join(kinds)}")
-        rest = {key: value for key, value in table.items() if key != word}
-        found.append(read_typed(kinds[kind], rest, f"{source}: [{name}]{f' ({kind})' if word == 'kind' else ''}"))
-    return found
+    """The records of an array of tables, one of which may stand alone, of one class, or of that which each `kind` says.
 
-
-def _read_each(cls: type[Typed], tables: Any, where: str) -> list[Any]:
-    """The records of an array of tables of one kind."""
-    return [read_typed(cls, table, where) for table in _entries(tables, where)]
-
-
-def _entries(tables: Any, where: str) -> list[Any]:
-    """The entries of an array of tables, one of which may stand alone; InputError for anything else, or too many."""
+    InputError for kinds, keys and values without sense, and for too many tables.
+    """
     tables = [tables] if isinstance(tables, dict) else tables
     if not isinstance(tables, list):
         raise InputError(f"{where} = {shown(tables)}: is not a table")
     if len(tables) > MAX_ENTRIES:
         raise InputError(f"{where}: has {len(tables)} entries, at most {MAX_ENTRIES} are allowed")
-    return tables
+    if not isinstance(kinds, Mapping):
+        return [read_typed(kinds, table, where) for table in tables]
+    found = []
+    for table in tables:
+        if not isinstance(table, dict):
+            raise InputError(f"{where} = {shown(table)}: is not a table")
+        kind = table.get(word)
+        if not isinstance(kind, str) or kind not in kinds:
+            raise InputError(f"{where} {word} = {shown(kind)}: is not one of {', '.join(kinds)}")
+        rest = {key: value for key, value in table.items() if key != word}
+        found.append(read_typed(kinds[kind], rest, f"{where} ({kind})" if word == "kind" else where))
+    return found

@@ -9,7 +9,6 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from msgspec import Meta
 
-from macro_fem.scene.meshing.outline import regular_polygon
 from macro_fem.scene.tables import MAX_CORNERS, MAX_ENTRIES, Degrees, Length, Name, Polygon
 from rve.common import Array, Typed, shown
 
@@ -68,8 +67,11 @@ class Disk(Shape, shape="disk"):
     radius: Length
 
     def corners(self, cells: int) -> Array:
-        """Corners (n, 2) of a polygon with the area of the disk."""
-        return regular_polygon(self.radius, max(8, math.ceil(math.pi * cells)))
+        """Corners (n, 2) of a regular polygon with the area of the disk, one at the top."""
+        n = max(8, math.ceil(math.pi * cells))
+        angle = 0.5 * math.pi + 2.0 * math.pi * np.arange(n) / n
+        same_area = self.radius * math.sqrt(2.0 * math.pi / (n * math.sin(2.0 * math.pi / n)))
+        return same_area * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
 @dataclass(frozen=True)

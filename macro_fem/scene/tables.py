@@ -171,7 +171,7 @@ class Wind(LiveLoad, kind="wind"):
     """A load of `pressure` N/m2 of reference area along `direction`, whose length does not matter.
 
     Instead of the pressure: `speed` in m/s, with `air_density` in kg/m3 (1.25 by default); its drag is that of the
-    layers of the law's rings on the present front (`macro_fem.scene.wind`). With `follows` a pressure is per present
+    layers of the law's rings on the present front (`macro_fem.scene.loads`). With `follows` a pressure is per present
     area, normal to the present surface, on the side where it first blows, and that of a speed is from the component of
     the speed along the normal.
     """

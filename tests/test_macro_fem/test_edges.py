@@ -12,8 +12,7 @@ from macro_fem.output.files import summarize
 from macro_fem.output.forces import held_length
 from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.edges import named_edges
-from macro_fem.scene.meshing.mesh import build_mesh, refine
-from macro_fem.scene.meshing.outline import mesh_outline
+from macro_fem.scene.meshing.mesh import build_mesh, mesh_outline, refine
 from macro_fem.scene.schema import read_scene
 from rve.common.errors import InputError
 

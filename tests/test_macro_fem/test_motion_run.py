@@ -23,8 +23,8 @@ from macro_fem.motion.scheme import Moment
 from macro_fem.motion.stage import masses_of, scene_at
 from macro_fem.motion.step import kinetic_energy
 from macro_fem.rings.ring_scene import ring_scene
+from macro_fem.scene.loads import wind_pressure
 from macro_fem.scene.schema import read_scene
-from macro_fem.scene.wind import wind_pressure
 from rve.common.errors import InputError
 
 G = 9810.0

@@ -8,7 +8,7 @@ from macro_fem.curtain import solve_problem
 from macro_fem.job import solve
 from macro_fem.output.forces import obstacle_forces, pushes_of
 from macro_fem.scene.obstacles import Obstacle, PlacedObstacle
-from macro_fem.scene.schema import read_kinds, read_scene
+from macro_fem.scene.schema import read_records, read_scene
 from macro_fem.shape_loop import solve_shape
 from rve.common.errors import InputError
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
@@ -253,7 +253,7 @@ def test_tangent_half_spaces_touch_the_obstacle_and_leave_it_out(kind):
         "floor": {"height": 1.0},
         "wall": {"facing": [1.0, 2.0, 2.0], "point": [1.0, 0.0, 0.0]},
     }
-    (item,) = read_kinds({"kind": kind, "move": [2.0, 0.0, 4.0], **keys[kind]}, Obstacle.kinds, "obstacle", "scene")
+    (item,) = read_records({"kind": kind, "move": [2.0, 0.0, 4.0], **keys[kind]}, Obstacle.kinds, "scene: [obstacle]")
     assert isinstance(item, Obstacle.kinds[kind])
     body = PlacedObstacle(0, item, 0.5, 3)
     x = rng.uniform(-15.0, 15.0, (400, 3))
@@ -305,7 +305,7 @@ def test_least_distance_from_a_way_is_that_of_its_nearest_point():
         {"kind": "cylinder", "axis": [1.0, 2.0, -1.0], "point": [0.0, 1.0, 0.0], "radius": 3.0},
         {"kind": "box", "corner": [-3.0, -2.0, -4.0], "size": [6.0, 5.0, 7.0], "rounding": 1.0},
     ]
-    for number, body in enumerate(read_kinds(bodies, Obstacle.kinds, "obstacle", "scene")):
+    for number, body in enumerate(read_records(bodies, Obstacle.kinds, "scene: [obstacle]")):
         one = PlacedObstacle(number, body, 0.0, 3)
         start, end = rng.normal(scale=9.0, size=(2, 40, 3))
         sampled = np.array([one.gap(a + t * (b - a)).min() for a, b in zip(start, end, strict=True)])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from macro_fem.scene.meshing.outline import mesh_outline
+from macro_fem.scene.meshing.mesh import mesh_outline
 
 
 def area(points, triangles):

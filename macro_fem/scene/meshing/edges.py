@@ -1,11 +1,10 @@
 """Named edges of a plane mesh: chains of its boundary by their direction, holes, and named lines of a mesh file.
 
-The boundary is followed with the mesh on its left, so that loops around the mesh turn left and loops around holes turn
-right. Outer loops are cut into chains at corners, where the boundary turns by more than 40 degrees. A chain whose
-normal departs from that of its chord by more than 45 degrees, such as a semicircle, is cut further where it changes
-between facing up, facing down and upright. "top" is then made of the chains that lie at the greatest height, or, if
-there are none, of those that reach it and face up more than sideways, or of all that reach it and face up: the whole of
-an arch, both slopes of a gable. "bottom", "left" and "right" are found in the same way; a chain has one name.
+Outer loops of the boundary, with the mesh on their left, are cut into chains at corners, where they turn by more than
+40 degrees. A chain whose normal departs from that of its chord by more than 45 degrees, such as a semicircle, is cut
+further where it changes between facing up, facing down and upright. "top" is made of the chains that lie at the
+greatest height, or, if there are none, of those that reach it and face up more than sideways, or of all that reach it
+and face up: an arch, both slopes of a gable. The other sides are found in the same way; a chain has one name.
 """
 
 from __future__ import annotations
@@ -41,8 +40,8 @@ class Loop:
 def named_edges(mesh: Any, holes: list[Array], lines: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Facet numbers by name: "outline", top, bottom, left, right, "hole 1", ..., and `lines` of node pairs (k, 2).
 
-    `holes` are the polygons whose order numbers the holes; without them holes are numbered by their centres from left
-    to right. A single hole is also called "hole". A line named in the file comes before an edge of the same name.
+    The order of the polygons `holes`, without them that of centres from left to right, numbers the holes; a single one
+    is also called "hole". A line named in the file comes before an edge of the same name.
     """
     loops = boundary_loops(mesh)
     outer = [loop for loop in loops if signed_areas(mesh.p[:, loop.nodes].T) > 0.0]
@@ -89,17 +88,14 @@ def boundary_loops(mesh: Any) -> list[Loop]:
     if counts.max(initial=1) > 1:
         x, y = mesh.p[:, start[counts.argmax()]]
         raise InputError(f"cells overlap at ({x:g}, {y:g}): the boundary there is no closed line")
-    left = np.ones(len(rim), bool)
-    loops = []
-    for first in range(len(rim)):
-        loop = []
-        facet = first
-        while left[facet]:
-            left[facet] = False
+    left, loops = dict.fromkeys(range(len(rim))), []
+    while left:
+        loop = [next(iter(left))]
+        while (facet := int(following[loop[-1]])) != loop[0]:
             loop.append(facet)
-            facet = int(following[facet])
-        if loop:
-            loops.append(Loop(rim[loop], start[loop]))
+        for facet in loop:
+            del left[facet]
+        loops.append(Loop(rim[loop], start[loop]))
     return loops
 
 
@@ -196,11 +192,9 @@ def _chains(mesh: Any, loop: Loop) -> list[tuple[np.ndarray, Array]]:
 
 def _cut(before: np.ndarray) -> list[np.ndarray]:
     """The places of a closed row in pieces that begin where `before` is true; the whole row if it is nowhere."""
-    places = np.arange(len(before))
     first = np.flatnonzero(before)
-    if not len(first):
-        return [places]
-    return list(np.split(np.roll(places, -first[0]), (first - first[0])[1:]))
+    start = first[0] if len(first) else 0
+    return list(np.split(np.roll(np.arange(len(before)), -start), (first - start)[1:]))
 
 
 def _sides(mesh: Any, chains: list[tuple[np.ndarray, Array]]) -> dict[str, np.ndarray]:

@@ -1,7 +1,5 @@
-"""Meshes of curtains: rectangles in rows, any outline with holes by Delaunay's rule on a lattice of the weave, files.
-
-A mesh comes with its named edges, see `edges`, and has nodes at hooks, at held and loaded points, and
-at the centres of patches that are smaller than its cells, see `places`.
+"""Meshes of curtains: rectangles in rows, any outline with holes by Delaunay's rule on a lattice of the weave, files,
+each with its named edges (`edges`) and nodes at hooks, held and loaded points (`places`).
 """
 
 from __future__ import annotations
@@ -14,20 +12,26 @@ import numpy as np
 import skfem
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import Delaunay
 
 from homogenize import CellInfo
+from macro_fem.fem.cells import counterclockwise, signed_areas, triangle_areas
 from macro_fem.scene.meshing.edges import inherited_edges, named_edges, paths
 from macro_fem.scene.meshing.mesh_files import cut_in_four, read_mesh
-from macro_fem.scene.meshing.outline import mesh_outline
 from macro_fem.scene.meshing.places import with_nodes_at
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.sites import Hanging
 from macro_fem.scene.tables import PatchLoad, Vector
 from rve.common import Array, InputError
+from rve.common.numeric.polygons import inside, near_sides, region
 
 MAX_TRIANGLES = 4_000_000
 """More cells than this are refused before their arrays are made: some four million unknowns, 20 GB in a solver."""
+MAX_LATTICE = 8_000_000
+"""Lattice points in the box, turned with the weave, around the outline: 0.5 GB while they are chosen from."""
+CLEARANCE = 0.55
+"""Least distance of a lattice point to the boundary in units of the spacing: keeps boundary triangles from slivers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,24 +83,19 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     """
     mesh = _plain_mesh(scene, cell)
     top = paths(mesh.mesh.facets[:, mesh.edges["top"]].T, mesh.mesh.p.T) if "top" in mesh.edges else []
-    rows: dict[int, tuple[Array, float]] = {}
-    for number, item in enumerate(scene.support):
-        if top and isinstance(item, Hanging) and item.has_hooks:
-            rows[number] = item.hook_places(top, f"{scene.source}: {item.where}")
+    hanging = [(number, item) for number, item in enumerate(scene.support) if isinstance(item, Hanging)]
+    rows = {n: item.hook_places(top, f"{scene.source}: {item.where}") for n, item in hanging if top and item.has_hooks}
+    wanted: list[tuple[str, Vector]]
+    wanted = [(f"[support] hook at [{x:g}, {y:g}]", (x, y)) for places, _ in rows.values() for x, y in places.tolist()]
     points = [(item.where, at) for item in scene.items for at in item.points]
     points += [("[load.patch]", patch.at) for patch in scene.of(PatchLoad) if patch.radius < mesh.longest_side]
-    named: list[tuple[str, Vector]] = [
-        (f"[support] hook at [{x:g}, {y:g}]", (x, y)) for places, _ in rows.values() for x, y in places
-    ]
-    named += [(f"{what} at = {list(at)}", at) for what, at in points]
-    if not named:
+    wanted += [(f"{what} at = {list(at)}", at) for what, at in points]
+    if not wanted:
         return mesh
-    wheres = [f"{scene.source}: {what}" for what, _ in named]
-    cut, edges, nodes = with_nodes_at(mesh.mesh, mesh.edges, np.array([at for _, at in named]), wheres)
-    hooks, first = {}, 0
-    for number, (places, pitch) in rows.items():
-        hooks[number] = HookRow(nodes[first : first + len(places)], pitch)
-        first += len(places)
+    wheres = [f"{scene.source}: {what}" for what, _ in wanted]
+    cut, edges, nodes = with_nodes_at(mesh.mesh, mesh.edges, np.array([at for _, at in wanted]), wheres)
+    own = np.split(nodes, np.cumsum([len(places) for places, _ in rows.values()]))
+    hooks = {n: HookRow(nodes, pitch) for (n, (_, pitch)), nodes in zip(rows.items(), own[:-1], strict=True)}
     return replace(mesh, mesh=cut, edges=edges, hooks=hooks)
 
 
@@ -157,19 +156,16 @@ def columns(scene: Scene) -> int:
 def rectangle(scene: Scene, aspect: float) -> CurtainMesh:
     """Rows of equal rectangles, each cut into four ("aligned", "crossed") or two ("diagonal") triangles.
 
-    The rectangles of "aligned" have the sides of the weave's cell, so that their diagonals follow both families; what
-    is left of the height makes one lower row at the bottom. Off the axes of the weave no such rectangle exists and
-    "aligned" becomes "crossed".
+    Those of "aligned" have the sides of the weave's cell, so that their diagonals follow both families, and one lower
+    row at the bottom; off the axes of the weave "aligned" becomes "crossed".
     """
     curtain, spec = scene.curtain, scene.mesh
     assert isinstance(curtain, Rectangle)
     W, H, n = curtain.width, curtain.height, columns(scene)
-    quarter_turns = curtain.weave_angle / 90.0
-    is_aligned = spec.pattern == "aligned" and quarter_turns == round(quarter_turns)
-    pattern = "crossed" if spec.pattern == "aligned" and not is_aligned else spec.pattern
-    if is_aligned:
-        ratio = aspect if round(quarter_turns) % 2 == 0 else 1.0 / aspect
-        y = _rows(H, ratio * W / n)
+    turns = curtain.weave_angle / 90.0
+    pattern = "crossed" if spec.pattern == "aligned" and turns != round(turns) else spec.pattern
+    if pattern == "aligned":
+        y = _rows(H, (aspect if round(turns) % 2 == 0 else 1.0 / aspect) * W / n)
     else:
         y = np.linspace(0.0, H, max(1, round(n * H / W)) + 1)
     x = np.linspace(0.0, W, n + 1)
@@ -186,6 +182,87 @@ def _rows(height: float, row: float) -> Array:
         n, left = n - 1, left + row
     lower = [0.0] if left > 1e-9 * height else []
     return np.concatenate([lower, height - row * np.arange(n, -1, -1.0)])
+
+
+def mesh_outline(
+    outline: Array, holes: list[Array], cells: int, aspect: float, angle: float
+) -> tuple[Array, np.ndarray]:
+    """Points (n, 2) and counterclockwise triangles (m, 3) of the region inside `outline` and outside `holes`.
+
+    The width is divided into `cells`; inner edges follow both diagonal families of a weave with cell sides in the ratio
+    `aspect` whose y axis is turned by `angle` (radians). ValueError if the polygons touch, cross or leave no region,
+    or are finer than the cells.
+    """
+    _check_polygons(outline, holes)
+    spacing = float(np.ptp(outline[:, 0])) / cells
+    border = [_subdivided(polygon, spacing) for polygon in (outline, *holes)]
+    inner = _lattice(outline, spacing, aspect, angle)
+    inner = inner[inside(inner, outline, holes)]
+    for polygon in (outline, *holes):
+        inner = inner[~near_sides(inner, polygon, CLEARANCE * spacing)]
+    points = np.concatenate([*border, inner])
+    triangles = Delaunay(points).simplices
+    triangles = triangles[inside(points[triangles].mean(axis=1), outline, holes)]
+    triangles = counterclockwise(points, triangles)
+    triangles = triangles[triangle_areas(points[triangles]) > 0.5e-6 * spacing**2]
+    _check_border(triangles, [len(part) for part in border])
+    used, triangles = np.unique(triangles, return_inverse=True)
+    return points[used], triangles.reshape(-1, 3)
+
+
+def _subdivided(polygon: Array, spacing: float) -> Array:
+    """The polygon's corners and points between them at most `spacing` apart."""
+    parts = []
+    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        n = max(1, math.ceil(float(np.linalg.norm(b - a)) / spacing - 1e-9))
+        parts.append(a + (b - a) * (np.arange(n) / n)[:, None])
+    return np.concatenate(parts)
+
+
+def _lattice(outline: Array, spacing: float, aspect: float, angle: float) -> Array:
+    """Corners and centres of rectangles spacing x aspect spacing, turned by `angle`, that cover the outline."""
+    centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    reach = np.abs((outline - centre) @ turn).max(axis=0) + spacing * (1.0 + aspect)
+    n, m = math.ceil(reach[0] / spacing), math.ceil(reach[1] / (spacing * aspect))
+    if 8 * n * m > MAX_LATTICE:
+        raise ValueError(
+            f"outline: the lattice of the weave around it has {8 * n * m:.3g} points, at most {MAX_LATTICE:.3g} are "
+            "allowed; use fewer cells, or a shape that is less slender across the weave"
+        )
+    i, j = np.meshgrid(np.arange(-n, n + 1.0), np.arange(-m, m + 1.0), indexing="ij")
+    corners = np.stack([i.ravel(), j.ravel()], axis=-1)
+    local = np.concatenate([corners, corners + 0.5]) * spacing * np.array([1.0, aspect])
+    return centre + local @ turn.T
+
+
+def _check_polygons(outline: Array, holes: list[Array]) -> None:
+    import shapely
+
+    for number, polygon in enumerate((outline, *holes)):
+        name = f"hole {number}" if number else "outline"
+        if np.any(np.linalg.norm(polygon - np.roll(polygon, -1, axis=0), axis=1) == 0.0):
+            raise ValueError(f"{name}: has two equal corners in a row")
+        flat, sides = 1e-9 * float(np.ptp(polygon, axis=0).max()) ** 2, shapely.LinearRing(polygon)
+        if not sides.is_simple and sides.convex_hull.area > flat:
+            raise ValueError(f"{name}: crosses itself")
+        if abs(signed_areas(polygon)) <= flat:
+            raise ValueError(f"{name}: has no area, its corners lie on a line")
+    whole, gaps = region(outline), [region(hole) for hole in holes]
+    for k, gap in enumerate(gaps, start=1):
+        if not whole.contains_properly(gap):
+            raise ValueError(f"holes: hole {k} is not inside the outline")
+        for j, other in enumerate(gaps[: k - 1], start=1):
+            if gap.intersects(other):
+                raise ValueError(f"holes: hole {k} and hole {j} overlap")
+
+
+def _check_border(triangles: np.ndarray, lengths: list[int]) -> None:
+    """Every piece of the border is an edge of the mesh: else corners are closer together than the cells."""
+    edges = set(map(frozenset, np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)]).tolist()))
+    for number in np.split(np.arange(sum(lengths)), np.cumsum(lengths)[:-1]):
+        if not edges.issuperset(map(frozenset, zip(number.tolist(), np.roll(number, -1).tolist(), strict=True))):
+            raise ValueError("outline and holes: come closer to each other than the cells are wide; use more cells")
 
 
 def refine(mesh: CurtainMesh, cells: np.ndarray) -> CurtainMesh:

@@ -31,8 +31,9 @@ def read_mesh(curtain: MeshFile, source: Path) -> tuple[Any, dict[str, np.ndarra
             raise InputError(f"needs cells of one kind, triangle or quad, it has {sorted(data.cells_dict)}")
         if "reference_mm" in data.point_data:
             raise InputError("is the deformed curtain of version 0.2 or before; solve it again")
-        used, cells = np.unique(data.cells_dict[kinds[0]], return_inverse=True)
-        cells = cells.reshape(-1, 3 if kinds[0] == "triangle" else 4)
+        given = data.cells_dict[kinds[0]]
+        used, cells = np.unique(given, return_inverse=True)
+        cells = cells.reshape(given.shape)
         points = _plane_points(np.asarray(data.points, dtype=float)[used])
         _check_cells(points, cells)
         mesh = (skfem.MeshTri if kinds[0] == "triangle" else skfem.MeshQuad)(points.T.copy(), cells.T.copy())
