@@ -90,20 +90,14 @@ def vector_areas(problem: CurtainProblem, F: Array) -> Array:
 
 
 def layers_of(problem: CurtainProblem, wind: Wind, x: Array, a: Array) -> Array:
-    """Layers (n_cells,) on the way of a wind, of cells with vector areas a (n_cells, 3) and nodes at x (n_nodes, 3).
-
-    1 over them is the front of a cell per reference area, as it shares it with the others.
-    """
+    """Layers (n_cells,) on the way of a wind, of cells with vector areas a (n_cells, 3) and nodes at x (n_nodes, 3)."""
     along = unit(wind.direction)
     own = 1.0 / np.maximum(np.linalg.norm(a, axis=1) if wind.follows else np.abs(a @ along), LEAST_FRONT)
     return own + _shade(problem, x, along, own)
 
 
 def _shade(problem: CurtainProblem, x: Array, along: Array, layers: Array) -> Array:
-    """Layers (n_cells,) of other cells before and behind the middle of each, seen along a direction.
-
-    Cells that touch are parts of one layer, whatever fold there is between them.
-    """
+    """Layers (n_cells,) that cells add before and behind the middle of others that they do not touch."""
     disc, t = problem.disc, problem.mesh.mesh.t.T
     _, _, Vt = np.linalg.svd(along[None])
     corners = x[disc.cell_dofs[:, :3]] @ Vt[1:].T
@@ -128,10 +122,7 @@ def _inside(p: Array, corners: Array) -> Array:
 
 
 def senses(problem: CurtainProblem) -> list[float]:
-    """1 for each wind that blows along F_1 x F_2 of the flat sheet where it starts, -1 against it.
-
-    InputError for a pressure that follows and blows along the flat sheet.
-    """
+    """1 for each wind along F_1 x F_2 of the flat sheet, -1 against it; InputError for pressure that blows along it."""
     start = problem.scene.start
     axes = problem.frame.T if start is None else (unit(start.x_axis), unit(start.y_axis))
     normal = np.cross(*axes)
@@ -148,10 +139,7 @@ def senses(problem: CurtainProblem) -> list[float]:
 
 
 def wind_summary(solution: CurtainSolution) -> dict[str, list[dict[str, float]]]:
-    """Drag and pressure of one flat layer in winds with a speed, and front, layers and drag of the present shape.
-
-    `layers` and `front_solidity` are means over the front.
-    """
+    """Drag of one flat layer in winds with a speed, and front, its mean layers and solidity, and drag of the shape."""
     lines = [_line(solution, wind) for wind in solution.problem.scene.of(Wind) if wind.speed is not None]
     return {"wind": lines} if lines else {}
 

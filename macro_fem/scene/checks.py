@@ -13,7 +13,7 @@ from macro_fem.scene.moving import Thrown, scaled
 from macro_fem.scene.obstacles import Body, is_flat
 from macro_fem.scene.shapes import Disk, MeshFile, Rectangle
 from macro_fem.scene.sites import Hanging
-from macro_fem.scene.tables import NO_MOVE, LiveLoad, Timed, Wind, in_3d
+from macro_fem.scene.tables import NO_MOVE, Bar, LiveLoad, Timed, Wind, in_3d
 from rve.common import InputError
 
 if TYPE_CHECKING:
@@ -46,7 +46,8 @@ def _contradictions(scene: Scene) -> Iterator[str]:
     is_shaped = any(wind.follows for wind in scene.of(Wind)) or not all(map(is_flat, scene.obstacle))
     if scene.start is not None and not is_shaped:
         yield "[start]: has no effect without bodies and following pressure"
-    changes = any(any(getattr(item, "move", ())) or getattr(item, "grows", False) for item in scene.items)
+    is_live = [isinstance(item, LiveLoad) and not isinstance(item, Bar) for item in scene.items]
+    changes = any(is_live) or any(any(getattr(item, "move", ())) for item in scene.items)
     if steps > 1 and not changes:
         yield f"[load] steps = {steps}: has no effect without live loads and moves"
     if scene.solver.is_bounded:
@@ -99,10 +100,7 @@ def check_bounds(scene: Scene, by: str) -> None:
 
 
 def check_sizes(scene: Scene, r1: float | None) -> None:
-    """InputError for a curtain or pitch smaller than a ring of radius r1, and for a body thinner than this radius.
-
-    The sentence says the value in mm that was probably meant. Laws without rings, None, have no size.
-    """
+    """InputError for a curtain or pitch less than a ring of radius r1, None without rings, or a thinner body."""
     if r1 is None:
         return
     sizes: list[tuple[str, float]] = [(f"{one.where} pitch", one.pitch) for one in scene.of(Hanging) if one.pitch]

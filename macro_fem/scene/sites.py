@@ -150,10 +150,9 @@ class Hanging(Support):
         return round(min(length / self.pitch, 1e9))
 
     def hook_places(self, lines: list[Line], where: str) -> tuple[Array, float]:
-        """Places (k, 2) of hooks, even along each of the lines of the top edge, and their pitch, mm.
+        """Places (k, 2) of hooks, even from end to end of the lines of the top edge, and the pitch on the longest, mm.
 
-        One is at each end. The pitch is the nearest one that fits, told for the longest line. InputError if it is
-        longer than the edge, or finer than its facets.
+        InputError for a pitch that is longer than the edge, or finer than its facets.
         """
         found, fitted = [], []
         named = f"{where} count = {self.count}:" if self.pitch is None else f"{where} pitch = {self.pitch:g}:"
@@ -171,8 +170,8 @@ class Hanging(Support):
             found.append(line.at(np.linspace(0.0, length, number + 1)[: number if line.is_closed else None]))
         return np.concatenate(found), max(fitted)[1]
 
-    def hooks(self, site: Site) -> np.ndarray:
-        """The nodes (k,) of its hooks."""
+    def _hooks(self, site: Site) -> np.ndarray:
+        """The nodes (k,) of its hooks; InputError without a top edge."""
         site.mesh.edge("top", f"{site.scene.source}: {self.where} needs edge")
         return site.mesh.hooks[site.number].nodes
 
@@ -192,7 +191,7 @@ def point_node(at: tuple[float, float], disc: Discretization) -> np.ndarray:
 
 
 def edge_line(mesh: CurtainMesh, name: str, where: str) -> tuple[np.ndarray, Array]:
-    """Corner numbers (k,) of the mesh along a named edge from its left or lower end, and the distances (k,) from there.
+    """Corners (k,) of the mesh along a named edge from its left or lower end, and the distances (k,) from there, mm.
 
     InputError, which begins with `where`, if the edge is no single open line.
     """
@@ -204,10 +203,7 @@ def edge_line(mesh: CurtainMesh, name: str, where: str) -> tuple[np.ndarray, Arr
 
 
 def placed_along(site: Site, line: np.ndarray, places: Array) -> tuple[np.ndarray, Array]:
-    """Nodes (n,) on a line of corners (k,) and their places (n, 3), of given places (k, 3) of the corners.
-
-    Nodes between two corners are half way between their places.
-    """
+    """Nodes (n,) on a line of corners (k,) at `places` (k, 3), and their places (n, 3), between two half way."""
     mesh, nodes = site.mesh.mesh, line
     if site.disc.element == "P2":
         facets = mesh.p2f[:, line[:-1]].multiply(mesh.p2f[:, line[1:]]).argmax(axis=0)
@@ -218,10 +214,7 @@ def placed_along(site: Site, line: np.ndarray, places: Array) -> tuple[np.ndarra
 
 
 def sliding_nodes(lines: list[tuple[np.ndarray, Array]], whole: np.ndarray, d: int) -> Sliding:
-    """The nodes that slide: those of lines (nodes (k,), unit vector (d,)) that lie on no second, crossing one.
-
-    Nodes held as a `whole` (n_nodes,) do not slide.
-    """
+    """The nodes of lines (nodes (k,), unit vector (d,)), but those on two that cross and those held as a `whole`."""
     way = np.zeros((len(whole), d))
     fixed = whole.copy()
     for nodes, e in lines:

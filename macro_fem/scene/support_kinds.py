@@ -78,7 +78,7 @@ class Hooks(Hanging, kind="hooks"):
         super().check()
 
     def hold(self, site: Site) -> Held:
-        nodes = self.hooks(site)
+        nodes = self._hooks(site)
         return self._held(site, "hooks", nodes, self._narrowed(site, nodes), "yz" if self.sliding else "both")
 
 
@@ -162,13 +162,12 @@ class Point(Support, kind="point"):
 class Track(Hanging, kind="track"):
     """The top edge on a curve in plan at the height y = `height`, that of the top edge by default.
 
-    Places along the track go with the arc length along the top edge, so that the mesh is gathered evenly. Between the
-    corners of the mesh a track is straight, which keeps bounds of the curtain rigorous.
-
     The curve is `path`, a list of points [x, z], an arc of `radius` and `angle` (degrees; positive bulges towards the
     viewer), or straight and as long as `fullness` says: mesh length of the top edge over length of the track. `pitch`:
     distance of the runners along the mesh, `count`: how many there are; without both the whole edge is held. `drawn`:
     the part of the track that the curtain covers, from its `side`. `capacity` and `rings_per_hook`: of each runner.
+
+    Between the corners of the mesh a track is straight, which keeps bounds of the curtain rigorous.
     """
 
     one = "runner"
@@ -219,7 +218,7 @@ class Track(Hanging, kind="track"):
         line, s = sites.edge_line(site.mesh, "top", f"{where} needs edge")
         curve = self.curve(line, s, site.mesh, where)
         if self.has_hooks:
-            nodes = self.hooks(site)
+            nodes = self._hooks(site)
             places = self.places(curve, np.linspace(0.0, s[-1], len(nodes)), s[-1])
             return Held("track", nodes, np.ones(places.shape, bool), places)
         nodes, places = sites.placed_along(site, line, self.places(curve, s, s[-1]))

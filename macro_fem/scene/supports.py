@@ -1,8 +1,4 @@
-"""Supports of a scene as held components of nodes, with the checks that need no solver.
-
-A support holds some components of some nodes at given positions. Scenes that must fail are refused here:
-supports that contradict each other, pieces of the curtain that nothing holds, loads along a direction that slides.
-"""
+"""Supports of a scene as held components of nodes; what they contradict, leave to fall or let slide is refused."""
 
 from __future__ import annotations
 
@@ -86,7 +82,8 @@ def build_supports(
     sites = [Site(number, scene, mesh, disc, factor) for number in range(len(scene.support)) if number not in released]
     held = tuple(scene.support[site.number].hold(site) for site in sites)
     positions = in_space_of(disc.nodes, scene.d)
-    mask, stiff, ways = np.zeros(positions.shape, bool), np.zeros(positions.shape, bool), np.zeros(positions.shape)
+    mask, ways = np.zeros(positions.shape, bool), np.zeros(positions.shape)
+    stiff = mask.copy()
     lines_first = sorted(held, key=lambda one: one.slide is None)
     for number, one in enumerate(lines_first):
         here, target = np.zeros_like(mask), np.zeros_like(positions)
@@ -139,10 +136,7 @@ def _straight_bars(
 
 
 def straight_ties(lines: list[np.ndarray], X: Array) -> sparse.csc_matrix:
-    """Weights (n, n) that put the nodes of each line between its first and its last: x = (1 - s) x_first + s x_last.
-
-    Columns of nodes in between are empty.
-    """
+    """Weights (n, n) that put the nodes of each line between its ends: x = (1 - s) x_first + s x_last."""
     ties = sparse.eye(len(X), format="lil")
     for nodes in lines:
         first, inner, last = nodes[0], nodes[1:-1], nodes[-1]

@@ -111,10 +111,9 @@ class Timed(Item):
 
 
 class LiveLoad(Timed):
-    """A load besides the weight of the mesh; it `grows` over the load steps unless it is a weight."""
+    """A load besides the weight of the mesh; it grows over the load steps, unless it is the weight of a bar."""
 
     kinds: ClassVar[dict[str, type[Any]]] = {}
-    grows: ClassVar[bool] = True
 
     def __init_subclass__(cls, kind: str = "", **more: Any) -> None:
         """Each kind is a list of its own."""
@@ -163,7 +162,6 @@ class Bar(LiveLoad, kind="bar"):
     mass: Annotated[float, Meta(ge=0.0, le=1e9)]
     edge: Name = "bottom"
     straight: bool = True
-    grows: ClassVar[bool] = False
 
 
 @dataclass(frozen=True)

@@ -53,10 +53,9 @@ def cut_in_four(quads: skfem.MeshQuad) -> skfem.MeshTri:
 
 
 def physical_lines(data: Any, mesh: Any, used: np.ndarray) -> dict[str, np.ndarray]:
-    """Node pairs (k, 2) of the physical groups of lines in a Gmsh file, by name, or by number where they have none.
+    """Node pairs (k, 2) of the physical groups of lines in a Gmsh file by name or number; `used`: its nodes in `mesh`.
 
-    `used` are the numbers in the file of the nodes of `mesh`. InputError for a group of which only a part lies on
-    sides of cells.
+    InputError for a group of which only a part lies on sides of cells.
     """
     names = {int(tag): str(name) for name, (tag, dim) in data.field_data.items() if dim == 1}
     tags = data.cell_data.get("gmsh:physical", [])

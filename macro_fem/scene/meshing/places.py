@@ -41,10 +41,9 @@ class _Sheet:
 
 @dataclass(frozen=True, eq=False)
 class _Change:
-    """A node at `place` (a new one, or an old one moved) with cells `removed` (k,) and `added` (j, 3) for it.
+    """A node, new or moved, at `place`, with cells `removed` (k,) and `added` (j, 3) for it.
 
-    `edge`: the side that is cut. `turns`: whether old sides get another direction, as a side does that is bent and all
-    sides at a node that moves.
+    `edge`: the side that is cut. `turns`: whether old sides get another direction.
     """
 
     node: int
@@ -115,8 +114,7 @@ def _ends_of_lines(sheet: _Sheet) -> set[int]:
 def _best_change(sheet: _Sheet, place: Array, kept: set[int], where: str, tiny: float) -> _Change:
     """The change that gives the place a node with the best cells; InputError if there is none.
 
-    On the boundary: a cut of the facet, and moves of its ends along it. Inside: moves of the cell's corners, a cut of
-    the cell, and cuts of its sides, bent where the place is not quite on them.
+    On the boundary facets are cut, or their ends moved along it; inside corners are moved, cells and their sides cut.
     """
     points = sheet.points
     facet, is_on = _nearest_facet(sheet, place)
