@@ -56,17 +56,17 @@ def find_sites(
 
 
 def _inside(corners: Array) -> tuple[Index, Index]:
-    """Triangle (n,) and whole-number point (n, 2) for all whole-number points in triangles with corners (t, 3, 2)."""
-    low = np.ceil(corners.min(axis=1) - 1e-9).astype(int)
-    count = np.maximum(np.floor(corners.max(axis=1) + 1e-9).astype(int) - low + 1, 0)
-    total = count.prod(axis=1)
-    triangle = np.repeat(np.arange(len(corners)), total)
-    rank = np.arange(len(triangle)) - np.repeat(np.cumsum(total) - total, total)
-    ij = low[triangle] + np.column_stack(np.divmod(rank, count[triangle, 0])[::-1])
-    inside = (_barycentric(corners[triangle], ij) >= -1e-9).all(axis=1)
-    triangle, ij = triangle[inside], ij[inside]
-    _, first = np.unique(ij, axis=0, return_index=True)
-    return triangle[first], ij[first]
+    """Triangle (n,) and whole-number point (n, 2) for all whole-number points in triangles with corners (t, 3, 2); of
+    several triangles the first."""
+    from shapely import STRtree, points, polygons
+
+    (low_i, low_j), (high_i, high_j) = np.floor(corners.min(axis=(0, 1))), np.ceil(corners.max(axis=(0, 1)))
+    i, j = np.meshgrid(np.arange(low_i, high_i + 1), np.arange(low_j, high_j + 1), indexing="ij")
+    ij = np.column_stack([i.ravel(), j.ravel()])
+    found = STRtree(polygons(corners)).query(points(ij), predicate="dwithin", distance=1e-9)
+    point, triangle = found[:, np.lexsort(found[::-1])]
+    first = np.unique(point, return_index=True)[1]
+    return triangle[first], ij[point[first]].astype(int)
 
 
 def _barycentric(corners: Array, point: Array) -> Array:

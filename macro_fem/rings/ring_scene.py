@@ -194,11 +194,10 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
         np.add.at(blown, ring, load_vector(disc, wind_per_area(breeze(wind), scene, info)))
         winds.append((wind, blown))
     held, at = np.zeros((n, 3), bool), padded(mesh.X)
-    for axis in range(scene.d):
-        nodes = np.flatnonzero(supports.fixed[:, axis])
-        held[ring[nodes], axis] = True
-        way = (supports.positions - in_space_of(disc.nodes, scene.d))[nodes, axis]
-        at[ring[nodes], axis] = padded(mesh.X)[ring[nodes], axis] + way
+    node, axis = np.nonzero(supports.fixed)
+    held[ring[node], axis] = True
+    way = supports.positions - in_space_of(disc.nodes, scene.d)
+    at[ring[node], axis] = padded(mesh.X)[ring[node], axis] + way[node, axis]
     if not scene.in_space:
         held[:, 2] = held[:, 0] | held[:, 1]
     where = f"{scene.source}: [load.bar] edge"
@@ -217,7 +216,7 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
     for item in scene.obstacle:  # at the end of their moves
         m = item.normal(np.zeros((1, 3)))
         offset = float(item.support(m)[0] + m[0] @ in_3d(item.move))
-        walls.append(HalfSpace((float(m[0, 0]), float(m[0, 1]), float(m[0, 2])), offset, item.name))
+        walls.append(HalfSpace(tuple(m[0].tolist()), offset, item.name))
     pins = Sliding(ring[supports.pins.nodes], in_space_of(supports.pins.direction, 3))
     mesh = replace(mesh, bars=tuple(bars))
     return RingScene(scene, mesh, force, held, at, tuple(groups), pins, mass, tuple(walls), tuple(winds), notes, info)
