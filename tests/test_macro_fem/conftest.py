@@ -10,6 +10,7 @@ from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces
 from rve.directions import grid
 from rve.geometry.cell import Cell
 from rve.solve import solve_table
+from tests.test_macro_fem.sheets import sheet
 
 WEIGHT = np.array([1.0, 2.0, 1.0])
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
@@ -82,13 +83,8 @@ def scene_tables():
     """Tables of a small scene; a test changes what it is about."""
 
     def make(hang="y", width=100.0, height=100.0, areal_mass=2.785, mesh=(), support=(), load=(), solver=()):
-        return {
-            "curtain": {"width": width, "height": height, "weave_angle": hang, "areal_mass": areal_mass},
-            "mesh": {"cells": 6, **dict(mesh)},
-            "support": dict(support) or {"kind": "top"},
-            "load": dict(load),
-            "solver": dict(solver),
-        }
+        held = dict(support) or {"kind": "top"}
+        return sheet(width, height, 6, held, mesh, load, solver, weave_angle=hang, areal_mass=areal_mass)
 
     return make
 

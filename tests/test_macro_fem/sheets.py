@@ -10,6 +10,12 @@ from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 
 
+def sheet(width, height, cells, support, mesh=(), load=(), solver=(), **curtain):
+    """Tables of a scene on a rectangle; `curtain` and `mesh`: further keys of theirs."""
+    first = {"curtain": {"width": width, "height": height, **curtain}, "mesh": {"cells": cells, **dict(mesh)}}
+    return first | {"support": support, "load": dict(load), "solver": dict(solver)}
+
+
 def mesh_of(width, height, nx, ny):
     """A mesh of nx by ny rectangles, each cut in two."""
     return skfem.MeshTri.init_tensor(np.linspace(0, width, nx + 1), np.linspace(0, height, ny + 1))

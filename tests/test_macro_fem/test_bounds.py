@@ -13,19 +13,14 @@ from macro_fem.curtain import solve_scene
 from macro_fem.fem.assembly import gradient, internal_force
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
+from tests.test_macro_fem.sheets import sheet
 
 NET_MEAN_HEIGHT = 14.187635  # 40 x 40 net square, top gathered to 70 %, DESIGN section 6
 
 
 def net_scene(pattern="diagonal", cells=6, **solver):
-    return read_scene(
-        {
-            "curtain": {"width": 40.0, "height": 40.0, "areal_mass": 1.0},
-            "mesh": {"cells": cells, "pattern": pattern},
-            "support": {"kind": "top", "gather": 0.7},
-            "solver": {"stabilising_tension": 0.0, **solver},
-        }
-    )
+    held, solver = {"kind": "top", "gather": 0.7}, {"stabilising_tension": 0.0, **solver}
+    return read_scene(sheet(40.0, 40.0, cells, held, {"pattern": pattern}, solver=solver, areal_mass=1.0))
 
 
 def mean_height_bounds(solution, bounds):

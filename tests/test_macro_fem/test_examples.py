@@ -14,7 +14,7 @@ from macro_fem.motion.stage import scene_at
 from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import load_scene, read_scene
-from tests.test_macro_fem.sheets import least_angle
+from tests.test_macro_fem.sheets import least_angle, sheet
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.toml"))
 
@@ -55,11 +55,6 @@ def test_example_runs(path, tmp_path):
 @pytest.mark.parametrize("support", [{"kind": "top"}, {"kind": "top", "gather": 0.8}], ids=["top", "gathered"])
 @pytest.mark.parametrize("element", ["P1", "P2"])
 def test_rings_hung_along_y_keep_their_height(element, support):
-    tables = {
-        "curtain": {"width": 1000.0, "height": 1000.0},
-        "mesh": {"cells": 6, "element": element},
-        "support": support,
-    }
-    solution = solve_scene(read_scene(tables), default_law())
+    solution = solve_scene(read_scene(sheet(1000.0, 1000.0, 6, support, {"element": element})), default_law())
     assert solution.status == "converged"
     assert solution.mean_height() == pytest.approx(500.0, abs=1e-5)

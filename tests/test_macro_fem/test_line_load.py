@@ -10,19 +10,13 @@ from macro_fem.curtain import solve_problem, solve_scene
 from macro_fem.fem.cells import recovered
 from macro_fem.output.line_load import Nearby, largest, largest_mean, summary
 from macro_fem.scene.schema import read_scene
-from tests.test_macro_fem.sheets import posed
+from tests.test_macro_fem.sheets import posed, sheet
 
 AREA = 11.0 * 12.646069623526
 
 
 def solve(cells, support, law=None, side=100.0, **load):
-    tables = {
-        "curtain": {"width": side, "height": side, "areal_mass": 2.785},
-        "mesh": {"cells": cells},
-        "support": support,
-        "load": load,
-    }
-    return solve_scene(read_scene(tables), law or default_law())
+    return solve_scene(read_scene(sheet(side, side, cells, support, load=load, areal_mass=2.785)), law or default_law())
 
 
 def nearby(n, load, area):

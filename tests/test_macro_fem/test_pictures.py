@@ -9,19 +9,11 @@ from macro_fem.output.space_view import drawn
 from rve.common.drawing.space import parts
 from rve.common.errors import InputError
 from tests.films import film_of
+from tests.test_macro_fem.sheets import sheet
 
-HAMMOCK = {
-    "curtain": {"width": 240, "height": 300},
-    "mesh": {"cells": 6},
-    "support": [{"kind": "edge", "edge": "top"}, {"kind": "edge", "edge": "bottom", "move": [0, 260, 150]}],
-    "load": {"steps": 2, "point": {"at": [120, 100], "force": [0, 0, 9]}},
-}
-PLANE = {
-    "curtain": {"width": 100, "height": 80},
-    "mesh": {"cells": 3},
-    "support": {"kind": "corners", "move": [0, 7]},
-    "load": {"steps": 2},
-}
+ENDS = [{"kind": "edge", "edge": "top"}, {"kind": "edge", "edge": "bottom", "move": [0, 260, 150]}]
+HAMMOCK = sheet(240, 300, 6, ENDS, load={"steps": 2, "point": {"at": [120, 100], "force": [0, 0, 9]}})
+PLANE = sheet(100, 80, 3, {"kind": "corners", "move": [0, 7]}, load={"steps": 2})
 
 
 @pytest.fixture(scope="module")

@@ -5,18 +5,13 @@ import pytest
 from homogenize import diagonal_net
 from macro_fem import read_scene
 from macro_fem.curtain import solve_scene
+from tests.test_macro_fem.sheets import sheet
 
 
 def gathered_net_height(element, n):
     """Mean height of the inextensible net, 40 x 40 mm gathered to 70 %: two stiffnesses, extrapolated to rigid."""
-    scene = read_scene(
-        {
-            "curtain": {"width": 40.0, "height": 40.0, "areal_mass": 100.0},
-            "mesh": {"cells": n, "element": element, "pattern": "diagonal"},
-            "support": {"kind": "top", "gather": 0.7},
-            "solver": {"kind": "elastic", "stabilising_tension": 0.0},
-        }
-    )
+    mesh, solver = {"element": element, "pattern": "diagonal"}, {"kind": "elastic", "stabilising_tension": 0.0}
+    scene = read_scene(sheet(40.0, 40.0, n, {"kind": "top", "gather": 0.7}, mesh, (), solver, areal_mass=100.0))
     solutions = [solve_scene(scene, diagonal_net(1.0, stiffness)) for stiffness in (1e3, 1e4)]
     assert [one.status for one in solutions] == ["converged"] * 2
     soft, stiff = (one.mean_height() for one in solutions)

@@ -13,7 +13,7 @@ from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import all_cuts, green_strain
 from tests.test_macro_fem.clarabel_oracle import solve_clarabel
-from tests.test_macro_fem.sheets import posed
+from tests.test_macro_fem.sheets import posed, sheet
 
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
 STRETCH_X, SHRINK_Y = 17.42005 / 11.0, 4.25798 / 12.646069623526
@@ -54,12 +54,7 @@ def test_hung_along_x_from_a_rail_reaches_the_uniaxial_state(ring_like, scene_ta
 
 
 def test_net_square_with_gathered_top_is_exact_on_aligned_meshes():
-    tables = {
-        "curtain": {"width": 40.0, "height": 40.0, "areal_mass": 1.0},
-        "mesh": {"cells": 8},
-        "support": {"kind": "top", "gather": 0.7},
-    }
-    solution = solve(tables, diagonal_net())
+    solution = solve(sheet(40.0, 40.0, 8, {"kind": "top", "gather": 0.7}, areal_mass=1.0), diagonal_net())
     assert_certified(solution, diagonal_net(), 40.0)
     assert solution.mean_height() == pytest.approx(14.187635, abs=5e-7)
 
@@ -159,14 +154,9 @@ def test_patch_in_every_locked_state(ring_like, state, element):
     F = turn @ np.diag(stretch)
     P = F @ np.array([[S[0], S[1]], [S[1], S[2]]])
     pull = {"right": P[:, 0], "left": -P[:, 0], "top": P[:, 1], "bottom": -P[:, 1]}
-    tables = {
-        "curtain": {"width": 60.0, "height": 60.0, "areal_mass": 0.0},
-        "mesh": {"cells": 4, "element": element, "pattern": "crossed"},
-        "support": {"kind": "point", "at": [0.0, 0.0]},
-        "load": {"edge": [{"edge": name, "force": force.tolist()} for name, force in pull.items()]},
-        "solver": {"stabilising_tension": 0.0},
-    }
-    solution = solve(tables, ring_like)
+    load = {"edge": [{"edge": name, "force": force.tolist()} for name, force in pull.items()]}
+    mesh, at = {"element": element, "pattern": "crossed"}, {"kind": "point", "at": [0.0, 0.0]}
+    solution = solve(sheet(60.0, 60.0, 4, at, mesh, load, {"stabilising_tension": 0.0}, areal_mass=0.0), ring_like)
     assert solution.status == "converged"
     exact = -(solution.problem.force * (solution.problem.disc.nodes @ (F - np.eye(2)).T)).sum()
     scale = np.abs(solution.problem.force).sum() * 60.0

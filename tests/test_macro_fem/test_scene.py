@@ -15,6 +15,7 @@ from macro_fem.fem.cells import signed_areas
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import load_scene, read_scene
 from rve.common.errors import InputError
+from tests.test_macro_fem.sheets import sheet
 
 SCENE = """
 [curtain]
@@ -35,12 +36,7 @@ kind = "rigid"
 
 
 def tables(**changes):
-    base = {
-        "curtain": {"width": 100.0, "height": 80.0, "areal_mass": 1.0},
-        "mesh": {"cells": 4},
-        "support": {"kind": "top"},
-    }
-    return base | changes
+    return sheet(100.0, 80.0, 4, {"kind": "top"}, areal_mass=1.0) | changes
 
 
 @pytest.fixture

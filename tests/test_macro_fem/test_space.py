@@ -21,7 +21,7 @@ from macro_fem.solvers.cones import green_strain
 from macro_fem.solvers.status import load_scale
 from rve.common.errors import InputError
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
-from tests.test_macro_fem.sheets import posed
+from tests.test_macro_fem.sheets import posed, sheet
 
 LAW = default_law()
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.toml"))
@@ -31,13 +31,7 @@ WIND = {"pressure": 6.0, "direction": [0.0, 0.0, -2.0]}
 
 
 def tables(support, load=None, cells=4, width=500.0, height=500.0, solver=None, **curtain):
-    return {
-        "curtain": {"width": width, "height": height, **curtain},
-        "mesh": {"cells": cells},
-        "support": support,
-        "load": load or {},
-        "solver": solver or {},
-    }
+    return sheet(width, height, cells, support, load=load or {}, solver=solver or {}, **curtain)
 
 
 SMALL = {

@@ -14,7 +14,7 @@ from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.status import AT_LIMIT, FREE, Evidence, Reach, judged
 from macro_fem.solvers.stretch_limit import reach_of
-from tests.test_macro_fem.sheets import posed
+from tests.test_macro_fem.sheets import posed, sheet
 
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
 KINDS = ("rigid", "elastic")
@@ -25,12 +25,7 @@ GOOD = Evidence(gap=1e-10, unbalanced=0.0, violation=-1e-3)
 
 
 def tables(support, hang="y", cells=4, **solver):
-    return {
-        "curtain": {"width": 1000.0, "height": 1000.0, "weave_angle": hang},
-        "mesh": {"cells": cells},
-        "support": support,
-        "solver": solver,
-    }
+    return sheet(1000.0, 1000.0, cells, support, solver=solver, weave_angle=hang)
 
 
 def solve(support, hang="y", cells=4, law=None, **solver):

@@ -17,6 +17,7 @@ from rve import Cell, named_material, pulled_ring, solve_table, with_rings
 from rve.common.errors import InputError
 from rve.common.meshes import read_mesh_file
 from rve.table import read_table
+from tests.test_macro_fem.sheets import sheet
 
 TABLE = Path(__file__).parents[1] / "test_homogenize" / "data" / "table190.csv"
 MASS, GRAVITY, WIDTH = 2.0, 9.81, 100.0
@@ -27,13 +28,8 @@ def hung(law=None, weave="y", mass=MASS, **support):
 
     Locked columns may share the load in many ways; without stabilising tension the solver's central one is even.
     """
-    tables = {
-        "curtain": {"width": WIDTH, "height": 150.0, "areal_mass": 0.0, "weave_angle": weave},
-        "mesh": {"cells": 4},
-        "support": {"kind": "rail"} | support,
-        "load": {"bar": {"mass": mass}},
-        "solver": {"stabilising_tension": 0.0},
-    }
+    more = {"load": {"bar": {"mass": mass}}, "solver": {"stabilising_tension": 0.0}, "areal_mass": 0.0}
+    tables = sheet(WIDTH, 150.0, 4, {"kind": "rail"} | support, weave_angle=weave, **more)
     return solve_scene(read_scene(tables), law or default_law())
 
 
@@ -105,13 +101,8 @@ def test_a_coarse_mesh_tells_the_utilisation_of_a_fine_one_from_the_force_at_the
 def test_a_force_on_one_column_of_rings_is_that_force_over_the_width_of_a_disk():
     """A point that is pulled straight down far from all edges: the disk of 139 mm2 is as wide as its area over its
     diameter, and S is the force over this width and over the stretch at which rings lock along the columns."""
-    tables = {
-        "curtain": {"width": 240.0, "height": 240.0, "areal_mass": 0.0},
-        "support": {"kind": "top"},
-        "mesh": {"cells": 6},
-        "load": {"point": {"at": [120.0, 120.0], "force": [0.0, -50.0], "rings_per_hook": 1000}},
-    }
-    law = default_law()
+    load = {"point": {"at": [120.0, 120.0], "force": [0.0, -50.0], "rings_per_hook": 1000}}
+    tables, law = sheet(240.0, 240.0, 6, {"kind": "top"}, load=load, areal_mass=0.0), default_law()
     told = summary(solve_scene(read_scene(tables), law))
     area = law.cell.b_x_mm * law.cell.b_y_mm
     up = np.array([[0.0, 0.0, 1.0]])
@@ -122,11 +113,7 @@ def test_a_force_on_one_column_of_rings_is_that_force_over_the_width_of_a_disk()
 
 def test_a_mesh_too_coarse_at_an_end_of_a_held_edge_is_told():
     """No single force tells there; the factor is then an upper bound and called so."""
-    tables = {
-        "curtain": {"width": 300.0, "height": 300.0},
-        "support": {"kind": "edge", "edge": "left"},
-        "mesh": {"cells": 8},
-    }
+    tables = sheet(300.0, 300.0, 8, {"kind": "edge", "edge": "left"})
     told = summarize(solve_scene(read_scene(tables), with_yield(2350.0)))
     assert told["utilisation_of_point_forces_max"] == 0.0
     assert told["utilisation_mesh_too_coarse"] is True
@@ -282,12 +269,7 @@ def test_rings_at_corners_points_runners_and_loaded_points():
 
 def test_a_scene_may_say_what_the_rings_are_made_of():
     """Half the density halves the weight, twice the yield stress the utilisation; everything is in the summary."""
-    tables = {
-        "curtain": {"width": 40.0, "height": 40.0},
-        "mesh": {"cells": 4},
-        "support": {"kind": "top", "gather": 0.9},
-        "solver": {"bounds": True},
-    }
+    tables = sheet(40.0, 40.0, 4, {"kind": "top", "gather": 0.9}, solver={"bounds": True})
     plain = solve(read_scene(tables))
     titanium = solve(read_scene(tables | {"material": {"material": "titanium grade 2"}}))
     one, other = plain.summary, titanium.summary

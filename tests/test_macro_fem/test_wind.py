@@ -14,7 +14,7 @@ from macro_fem.scene.loads import drag_coefficient, ring_solidity
 from macro_fem.scene.schema import read_scene
 from macro_fem.shape_loop import solve_shape
 from rve.common.errors import InputError
-from tests.test_macro_fem.sheets import posed
+from tests.test_macro_fem.sheets import posed, sheet
 
 
 def with_wind(scene_tables, **wind):
@@ -53,12 +53,7 @@ def test_a_speed_is_the_pressure_of_its_drag(scene_tables):
 
 
 def hung(support, wind, **mesh):
-    return {
-        "curtain": {"width": 3000.0, "height": 2300.0},
-        "mesh": {"cells": 4, **mesh},
-        "support": support,
-        "load": {"wind": {"direction": [0.0, 0.0, 1.0], **wind}},
-    }
+    return sheet(3000.0, 2300.0, 4, support, mesh, {"wind": {"direction": [0.0, 0.0, 1.0], **wind}})
 
 
 @pytest.mark.parametrize("element", ["P1", "P2"])
