@@ -6,32 +6,23 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from homogenize import MembraneLaw, with_material
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.problem import CurtainProblem, gathered_start, make_problem, stabilising_tension, unit_tensors
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.obstacles import is_flat
 from macro_fem.scene.schema import Scene
-from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.supports import told
 from macro_fem.shape_loop import solve_shape
 from macro_fem.solution import CurtainSolution, InnerForces, slackened
 from macro_fem.solvers.central_path import solve_path
-from macro_fem.solvers.cones import Cones, first_cones, green_strain, take_from
+from macro_fem.solvers.cones import Cones, first_cones, green_strain
 from macro_fem.solvers.path import COUNTED, PATH, PathOptions, PathResult, Terms
 from macro_fem.solvers.status import Evidence, Reach, load_scale
 from macro_fem.solvers.stretch_limit import reach_of, solve_at_stretch_limit
 from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, InputError
 
-COARSE_FROM = 4000
-"""Points from which a coarser curtain is solved first: on fewer the law's own half-spaces are as quick."""
-COARSE_RATIO = 4
-"""Cells of the mesh per cell of the coarser one. Coarser ones are cheaper and tell less."""
-COARSE_TOLERANCE = 1e-4
-"""Tolerance of the coarser curtain. Only its half-spaces are used, which smaller tolerances hardly change."""
 INWARD = 0.05
 """How far the start of a load step is drawn from the last curtain to the slack start, where 1 is that. On the last
 curtain itself no cone has any margin left; farther away more steps are needed."""
@@ -53,30 +44,24 @@ def solve_scene(scene: Scene, law: MembraneLaw) -> CurtainSolution:
     return solve_problem(make_problem(scene, law, mesh))
 
 
-def solve_problem(
-    problem: CurtainProblem, start: CurtainSolution | None = None, coarse_from: int = COARSE_FROM
-) -> CurtainSolution:
-    """The curtain of a discrete problem, by the solver its scene names.
+def solve_problem(problem: CurtainProblem, start: CurtainSolution | None = None) -> CurtainSolution:
+    """The curtain of a discrete problem, by the solver its scene names; in rounds (`macro_fem.shape_loop`) with bodies,
+    or wind on the present shape.
 
     `start` is a curtain on the same mesh, say that of the last load step: its half-spaces are the first ones, the first
-    positions are near its own, and its matrix pattern and symbolic factor are kept. From `coarse_from` points on
-    a coarser curtain is solved first.
-
-    A problem with bodies, or wind on the present shape, is solved in rounds (`macro_fem.shape_loop`).
+    positions are near its own, and its matrix pattern and symbolic factor are kept.
     """
     if problem.bodies or problem.winds:
         return held_in_place(solve_shape(problem, start, solve_convex))
-    return held_in_place(solve_convex(problem, start, coarse_from))
+    return held_in_place(solve_convex(problem, start))
 
 
-def solve_convex(
-    problem: CurtainProblem, start: CurtainSolution | None = None, coarse_from: int = COARSE_FROM
-) -> CurtainSolution:
+def solve_convex(problem: CurtainProblem, start: CurtainSolution | None = None) -> CurtainSolution:
     """The curtain of a problem without bodies or wind on its shape; forces at its pins are left unchecked."""
     begin = time.perf_counter()
     if start is not None and is_alike(problem.fem, start.problem.fem):
         problem = replace(problem, fem=start.problem.fem.moved(problem.fem.x_held))
-    reach, relaxation = _known_reach(problem, start) or supports_reach(problem), None
+    reach, relaxation = supports_reach(problem, start), None
     if is_elastic(problem.scene) and reach.is_out:
         # More than the loads stretch its rings would be the elasticity of rings beyond what the law was made for.
         line_load = float(np.abs(problem.force).sum()) * problem.mesh.size / float(problem.disc.weight.sum())
@@ -87,8 +72,9 @@ def solve_convex(
     elif problem.walls is not None and problem.walls.stuck(problem.fem) > TOUCHED * problem.mesh.size:
         result = _unsolved(problem, "blocked")
     else:
-        cones = _first_cones(problem, start, coarse_from)
-        x = gathered_start(problem) if start is None else slackened(start, INWARD)
+        cones, x = problem.cones, gathered_start(problem) if start is None else slackened(start, INWARD)
+        if cones is None and start is not None and start.problem.disc.n_points == problem.disc.n_points:
+            cones = start.cones
         result, relaxation = _solve_within_reach(problem, reach, cones, x)
         reach = result.reach if result.stop == "infeasible" else reach
     found = make_solution(problem, result, reach, relaxation)
@@ -101,14 +87,6 @@ def _unsolved(problem: CurtainProblem, stop: str) -> PathResult:
     worst, cones = Evidence(np.inf, np.inf, np.inf), first_cones(problem.law.half_spaces(), n)
     P = 0.0 * problem.fem.gradient(z)
     return PathResult(stop, worst, PATH.accuracy, z, np.zeros((n, 3)), np.zeros(n), cones, P, np.nan, np.nan, 0)
-
-
-def _known_reach(problem: CurtainProblem, start: CurtainSolution | None) -> Reach | None:
-    """The reach of the curtain before where nothing it depends on has changed."""
-    if start is None or start.stop == "infeasible" or start.problem.law.own is not problem.law.own:
-        return None
-    one, other = problem.fem, start.problem.fem
-    return start.reach if is_alike(one, other) and np.array_equal(one.x_held, other.x_held) else None
 
 
 def held_in_place(found: CurtainSolution) -> CurtainSolution:
@@ -144,19 +122,21 @@ def is_elastic(scene: Scene) -> bool:
     return scene.solver.kind == "elastic"
 
 
-def supports_reach(problem: CurtainProblem) -> Reach:
-    """How much farther apart the supports could be."""
+def supports_reach(problem: CurtainProblem, start: CurtainSolution | None = None) -> Reach:
+    """How much farther apart the supports could be; that of the curtain before where it has not changed."""
     fem = problem.fem
+    if start is not None and start.stop != "infeasible" and start.problem.law.own is problem.law.own:
+        before = start.problem.fem
+        if is_alike(fem, before) and np.array_equal(fem.x_held, before.x_held):
+            return start.reach
     return reach_of(fem, problem.law, fem.unknowns(gathered_start(problem)), problem.mesh.size)
 
 
 def _solve_within_reach(
     problem: CurtainProblem, reach: Reach, cones: Cones | None, x: Array
 ) -> tuple[PathResult, float | None]:
-    """The solver's record from positions x (n_nodes, d), and the relaxation of a law at its stretch limit.
-
-    The even tension that opens out slack parts stays in a rigid curtain, whose bounds allow for it; an elastic one is
-    only guided by it.
+    """The solver's record from positions x (n_nodes, d), and the relaxation of a law at its stretch limit: the even
+    tension that opens out slack parts stays in a rigid curtain and only guides an elastic one.
     """
     spec, size = problem.scene.solver, problem.mesh.size
     load, z = problem.fem.gather(problem.force), problem.fem.unknowns(x)
@@ -174,48 +154,6 @@ def _solve_within_reach(
     if reach.is_at_limit:
         return solve_at_stretch_limit(solve, problem.fem, z, options, reach, problem.walls)
     return solve(problem.fem, z, options, problem.walls), None
-
-
-def _first_cones(problem: CurtainProblem, start: CurtainSolution | None, coarse_from: int) -> Cones | None:
-    """Half-spaces to begin with: of the mesh, law or load step before, or of a coarser curtain; None: the law's own.
-
-    A coarser curtain has half as many as the law's own first ones and nearly the right ones. None is solved for small
-    meshes, where it does not pay, and with bodies or wind on the present shape, which are met on this mesh alone.
-    """
-    scene, points = problem.scene, problem.disc.n_points
-    if problem.cones is not None:
-        return problem.cones
-    if start is not None and start.cones is not None and len(start.cones.first) == points:
-        return start.cones
-    if problem.wind is not None or any(not is_flat(item) for item in scene.obstacle) or points < coarse_from:
-        return None
-    if isinstance(scene.curtain, MeshFile) or scene.solver.adapt or scene.mesh.cells < 2 * COARSE_RATIO:
-        return None
-    coarse = _coarser(problem, coarse_from)
-    if coarse is None or coarse.status != "converged" or coarse.cones is None:
-        return None
-    _, nearest = cKDTree(coarse.problem.disc.points).query(problem.disc.points)
-    return take_from(coarse.cones, nearest)
-
-
-def _coarser(problem: CurtainProblem, coarse_from: int) -> CurtainSolution | None:
-    """The loosely solved curtain on a coarser mesh; None where the scene cannot be meshed that coarsely.
-
-    Rigid, for its half-spaces serve an elastic one as well, unless rings give by direction.
-    """
-    scene = problem.scene
-    tolerance = max(COARSE_TOLERANCE, scene.solver.tolerance)
-    is_rigid = not is_elastic(scene) or problem.elastic_law.own is problem.law.own
-    coarse = replace(
-        scene,
-        mesh=replace(scene.mesh, cells=scene.mesh.cells // COARSE_RATIO),
-        solver=replace(scene.solver, kind="rigid" if is_rigid else "elastic", tolerance=tolerance),
-    )
-    try:
-        discrete = make_problem(coarse, problem.law.own, build_mesh(coarse, problem.law.cell), problem.factor)
-    except InputError:
-        return None
-    return solve_convex(discrete, None, coarse_from)
 
 
 def make_solution(

@@ -1,4 +1,4 @@
-"""The third coordinate, half-spaces that never act, second-order corrections, ties, coarse starts."""
+"""The third coordinate, half-spaces that never act, ties."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -14,7 +14,7 @@ from benchmarks.problems import square
 from homogenize.io import default_law
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import HalfSpaces, MembraneLaw
-from macro_fem.curtain import COARSE_FROM, solve_problem
+from macro_fem.curtain import solve_problem
 from macro_fem.fem.assembly import load_vector
 from macro_fem.problem import CurtainProblem, gathered_start, make_problem, stabilising_tension, unit_tensors
 from macro_fem.scene.meshing.mesh import build_mesh
@@ -38,16 +38,13 @@ def measure(full: bool) -> Section:
         third_coordinate(law, "top", cells, {"bar": {"mass": 1.0}}),
         all_half_spaces(law, 6 if full else 4),
         ties(law, cells),
-        coarse_start(law, cells),
-        coarse_start(law, 64 if full else 40),
         by_option(law, "idle half-spaces", cells, PathOptions(), KEEP_IDLE),
     ]
     text = (
         "A square metre of ring mesh, r1/r2 = 10, hung by its corners, or from its top edge with a straight bar. "
         "`third-coordinate`: nodes may leave the plane. `all-half-spaces`: every point begins with all half-spaces of "
         "the law, instead of adding those that are violated. `idle half-spaces`: none is dropped on the way. `ties`: a "
-        "matrix between nodes and unknowns, needed only for straight bars. "
-        f"`coarse-start`: a coarser curtain first, by default from {COARSE_FROM} points on."
+        "matrix between nodes and unknowns, needed only for straight bars."
     )
     tables = (trial_table("Features switched on in curtains", trials),)
     return Section("Curtains", text, tables, (), verdict(trials))
@@ -71,9 +68,9 @@ def compared(
     return trial(feature, scene, seconds, change, tolerance, unit, default, ok=plain[0] and found[0])
 
 
-def height(problem: CurtainProblem, coarse_from: int = COARSE_FROM) -> tuple[bool, float]:
+def height(problem: CurtainProblem) -> tuple[bool, float]:
     """Whether the curtain converges, and its mean height."""
-    found = solve_problem(problem, coarse_from=coarse_from)
+    found = solve_problem(problem)
     return found.status == "converged", found.mean_height()
 
 
@@ -112,14 +109,6 @@ def ties(law: MembraneLaw, cells: int) -> Row:
     plain = problem_of(law, "corners", cells)
     tied = replace(plain, fem=replace(plain.fem, tie=plain.fem.T))
     return compared("ties", "corners", (partial(height, plain), partial(height, tied)), plain)
-
-
-def coarse_start(law: MembraneLaw, cells: int) -> Row:
-    """A coarser curtain first, against none, whatever the default for so many points."""
-    problem = problem_of(law, "corners", cells)
-    calls = (partial(height, problem, 10**9), partial(height, problem, 0))
-    default = USED if problem.disc.n_points >= COARSE_FROM else LEFT_OUT
-    return compared("coarse-start", "corners", calls, problem, default=default)
 
 
 def by_option(law: MembraneLaw, feature: str, cells: int, without: PathOptions, with_it: PathOptions) -> Row:

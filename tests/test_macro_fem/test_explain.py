@@ -12,9 +12,9 @@ LAW = default_law()
 
 
 def test_forced_features_of_curtains_change_no_result(monkeypatch):
-    """A coarser curtain first, all half-spaces from the start, nodes that may leave the plane, unneeded ties."""
+    """All half-spaces from the start, nodes that may leave the plane, unneeded ties."""
     monkeypatch.setattr(curtains, "least_seconds", lambda call, **how: (call(), 1.0))
-    forced = (curtains.coarse_start(LAW, 8), curtains.all_half_spaces(LAW, 3), curtains.ties(LAW, 4))
+    forced = (curtains.all_half_spaces(LAW, 3), curtains.ties(LAW, 4))
     assert all(row["same"] for row in (*forced, curtains.third_coordinate(LAW, "corners", 4)))
 
 
