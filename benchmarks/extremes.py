@@ -111,7 +111,7 @@ def law_kinds() -> dict[str, MembraneLaw]:
     """One law of every kind."""
     rings = default_law()
     assert rings.cell is not None
-    return {"polyhedral": rings, "polyhedral, turned": HungLaw(rings, 30.0), "net": ring_net(rings.cell)}
+    return {"polyhedral": rings, "polyhedral, turned": HungLaw.at(rings, 30.0), "net": ring_net(rings.cell)}
 
 
 def law_row(name: str, law: MembraneLaw) -> Row:

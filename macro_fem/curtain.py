@@ -166,10 +166,10 @@ def make_solution(
     work = float((problem.force * (x - fem.reference)).sum())
     shift = float(fem.gather(problem.force) @ result.z) - work  # what supports and the choice of origin add to -l.z
     held = fem.gradient(np.zeros_like(result.z))
-    held_part = float((fem.weight[:, None, None] * tension * unit_tensors(problem) * held).sum())
+    held_part = float((fem.disc.weight[:, None, None] * tension * unit_tensors(problem) * held).sum())
     allowance = _tension_allowance(problem, tension)
     scale = load_scale(problem.force, problem.disc.weight) * problem.mesh.size
-    stored = float(fem.weight @ problem.elastic_law.response(green_strain(F)).energy) if elastic else 0.0
+    stored = float(fem.disc.weight @ problem.elastic_law.response(green_strain(F)).energy) if elastic else 0.0
     pushes = result.wall_forces if result.wall_forces.size else np.zeros(len(problem.walls or ()))
     return CurtainSolution(
         problem=problem,

@@ -86,7 +86,7 @@ def make_problem(
     supports = build_supports(scene, mesh, disc, factor, released or frozenset())
     if released is None:
         supports = pin_sliding(supports, disc, force, scene.source)
-    hung = HungLaw(law, scene.curtain.weave_angle)
+    hung = HungLaw.at(law, scene.curtain.weave_angle)
     fem = supports.fem(disc)
     problem = CurtainProblem(scene, mesh, disc, hung, supports, fem, force, factor)
     winds = tuple(wind for wind in scene.of(Wind) if wind.is_shaped and fem.d == 3)

@@ -49,9 +49,8 @@ def levels(
 ) -> Iterator[Level]:
     """The curtain on the scene's mesh and on `scene.solver.adapt` refinements of it, each with its bounds.
 
-    With an `outer` law that contains `law` the lower bound is that of the outer one. `first` is
-    the curtain of the admissible problem on the first mesh where it is solved already. Ends early if a solver did not
-    converge.
+    The lower bound is that of an `outer` law that contains `law`. `first`: the curtain of the admissible problem on the
+    first mesh where it is solved already. Ends early if a solver did not converge.
     """
     mesh = build_mesh(scene, law.cell) if mesh is None else mesh
     solution = first
@@ -72,9 +71,8 @@ def levels(
 
 
 def admissible_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: float = 1.0) -> CurtainProblem:
-    """The P2 problem of a scene with the law at the corners of the triangles.
-
-    With walls the P1 problem: a P1 curtain is inside a plane where its nodes are, a P2 curtain need not be.
+    """The P2 problem of a scene with the law at the corners of the triangles; with walls the P1 problem, whose curtain
+    is inside a plane where its nodes are.
     """
     quadratic = replace(scene, mesh=replace(scene.mesh, element="P2"))
     problem = make_problem(quadratic, law, mesh, factor)
@@ -85,10 +83,7 @@ def admissible_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor
 
 
 def at_corners(disc: Discretization) -> Discretization:
-    """P2 with its points at the corners of the triangles, a third of the area each: exact for linear functions.
-
-    Not for loads, whose shape functions are quadratic.
-    """
+    """P2 with its points at the corners of the triangles, a third of the area each: exact for linear functions."""
     values, gradients = reference_shapes(skfem.ElementTriP2(), CORNERS, 6)
     weight = np.tile(disc.cell_area / 3.0, 3)
     return replace(disc, shape_values=values, shape_gradients=gradients, weight=weight)

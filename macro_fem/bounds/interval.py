@@ -31,20 +31,18 @@ from macro_fem.solvers.path import PathOptions, PathResult, Terms
 from rve.common import Array
 
 PATH_OF_BOUNDS = PathOptions(gap=2e-5, violation=5e-3, drawn=False)
-"""How the dual program is solved. Larger gaps weaken the bound; that of any mesh is far larger than the default.
-Half-spaces left out weaken it, too."""
+"""How the dual program is solved. Larger gaps and half-spaces left out weaken the bound."""
 INWARD = 0.05
-"""How far the start is drawn from the P1 curtain to its slack start. On the curtain itself no cone has room left and
-the first steps get stuck; farther away more steps are needed."""
+"""How far the start is drawn from the P1 curtain, where steps get stuck, to its slack start; farther: more steps."""
 
 
 @dataclass(frozen=True, eq=False)
 class CurtainBounds:
     """upper and lower: bounds of the potential of the continuous curtain, N mm; `status` of the dual solver.
 
-    error (n_cells,): share of every triangle in upper - lower, N mm, which it sums to; `points`: the part of it that is
-    due to supports and loads at points and to the solvers' own gaps. law_part: how much of upper - lower the distance
-    between inner and outer law may make, N mm; None where both bounds are those of one law.
+    error (n_cells,): share of every triangle in upper - lower, N mm; `points`: the part of it that is due to supports
+    and loads at points and to the solvers' own gaps. law_part: how much of upper - lower the distance between inner and
+    outer law may make, N mm; None where both bounds are those of one law.
     """
 
     upper: float
@@ -79,7 +77,7 @@ class Loads:
 
 
 def loads_of(weight: Array, S: Array, inner: MembraneLaw, outer: MembraneLaw) -> Loads:
-    """The stresses S (n, 3) at points of these reference areas (n,) under two laws; points without stress are left out.
+    """The stresses S (n, 3) at points of these reference areas (n,) under two laws, without points that have none.
 
     With multipliers S of the inner law, potential(inner) - potential(outer) <= sum of weight width (weak duality).
     """
@@ -93,11 +91,11 @@ def loads_of(weight: Array, S: Array, inner: MembraneLaw, outer: MembraneLaw) ->
 def bound(
     solution: CurtainSolution, factor: float = 1.0, outer: MembraneLaw | None = None, path: PathOptions = PATH_OF_BOUNDS
 ) -> CurtainBounds:
-    """Bounds of the potential around an admissible solution on a mesh of triangles, at the same load step `factor`.
+    """Bounds of the potential around an admissible solution in P1, or in P2 with the law at the corners of triangles,
+    at the same load step `factor`.
 
-    The solution is one in P1, or in P2 with the law at the corners of triangles. `outer`: a law, in the frame of the
-    weave, that contains the solution's; the lower bound is then for it.
-    InputError for a piece of the curtain that hangs on a single corner of another.
+    `outer`: a law, in the frame of the weave, that contains the solution's; the lower bound is then for it. InputError
+    for a piece of the curtain that hangs on a single corner of another.
     """
     begin = time.perf_counter()
     upper, inner, area = solution.primal, solution.problem.law, solution.problem.disc.weight
@@ -128,10 +126,8 @@ def bound(
 def _solve(
     solution: CurtainSolution, factor: float, path: PathOptions, inward: float
 ) -> tuple[DualProblem, PathResult]:
-    """The hybrid problem of a P1 solution and its answer.
-
-    Edges around points are held where the P1 curtain is, drawn `inward`. The P1 part of a P2 curtain may leave the law
-    by more than that where points are close, so that these places are out of reach; those of the slack start are not.
+    """The hybrid problem of a P1 solution and its answer, edges around points held where the P1 curtain is, drawn
+    `inward`. The P1 part of a P2 curtain may leave the law by more than that where points are close.
     """
     problem, x = solution.problem, at_dual_nodes(slackened(solution, inward), solution.problem.mesh)
     dual = dual_problem(solution, factor, x)
@@ -141,9 +137,8 @@ def _solve(
 
 
 def linear_part(solution: CurtainSolution, factor: float, outer: MembraneLaw | None) -> CurtainSolution:
-    """The solution at the corners of its triangles, as one in P1, under `outer` where given, with its half-spaces.
-
-    They are those of the three corners of every triangle, in the order of `macro_fem.bounds.equilibrated`.
+    """The solution as one in P1, under `outer` where given, with its half-spaces at the three corners of every
+    triangle.
     """
     problem, cones = solution.problem, solution.cones
     if cones is not None and problem.disc.n_quad == 1:
@@ -172,9 +167,9 @@ def _near_points(dual: DualProblem, moment: Array, points: float) -> Array:
 def _tether_cost(dual: DualProblem, law: MembraneLaw, result: PathResult, held: Array) -> tuple[float, Array]:
     """What the lower bound loses because reactions r of points act along edges, N mm, and each edge's moment (k,).
 
-    The program took the work r.x at the positions x_h of the edges; it is at least that at the point, less the
-    integral of kappa |r| s. With end values r_a (at the point) and r_b of r, linear on the edge, |r| is at most their
-    interpolation, whose moment is length^2 (|r_a| / 6 + |r_b| / 3).
+    The program took the work r.x at the positions of the edges; it is at least that at the point, less the integral of
+    kappa |r| s. With end values r_a (at the point) and r_b of r, that of |r| s is at most
+    length^2 (|r_a| / 6 + |r_b| / 3).
     """
     mesh, facet, near = dual.dual, dual.facet, dual.near
     balance = internal_force(mesh.disc, result.P) - dual.force

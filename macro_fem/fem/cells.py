@@ -49,10 +49,8 @@ def mean_at_corners(cells: Index, values: Array, weight: Array | None = None) ->
 
 
 def recovered(cells: Index, values: Array, area: Array) -> Array:
-    """Cell values (c, ...) averaged over the cells at each corner, then over the corners of each cell.
-
-    The stress of locked cells is right on average only: equilibrium of the corners does not decide how neighbours share
-    a load, so that single cells may be far off. Averages of tensions are tensions.
+    """Cell values (c, ...) averaged over the cells at each corner, then over the corners of each cell: stresses of
+    locked cells are right on average only, as equilibrium does not decide how neighbours share a load.
     """
     each = np.repeat(values[:, None], cells.shape[1], axis=1)
     return np.asarray(mean_at_corners(cells, each, area)[cells].mean(axis=1))

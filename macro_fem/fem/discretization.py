@@ -62,7 +62,7 @@ class Points(Rows):
 
 @dataclass(frozen=True, eq=False)
 class Discretization:
-    """A mesh and an element as arrays; points are ordered as the module header says.
+    """A mesh and an element as arrays.
 
     nodes (n_nodes, 2): positions of the unknowns in the reference state, mm.
     cell_dofs (n_cells, n_local): node numbers of each cell.
@@ -97,7 +97,7 @@ class Discretization:
         """Quadrature points of the whole mesh."""
         return self.n_quad * self.n_cells
 
-    @cached_property
+    @property
     def dofs(self) -> Index:
         """The node numbers seen by each point, (n_points, n_local)."""
         return np.tile(self.cell_dofs, (self.n_quad, 1))

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
-from homogenize import CellInfo, Cut, HalfSpaces, MembraneLaw, Response, elastic_law
+from homogenize import Cut, HalfSpaces, MembraneLaw, Response, elastic_law
 from rve.common import Array
 from rve.common.tensor import dyad
 
@@ -17,36 +16,22 @@ from rve.common.tensor import dyad
 class HungLaw:
     """`own`, the law in the frame of its weave, as a membrane law in the frame of a curtain.
 
-    The weave is rotated counterclockwise by `angle_deg`. With R the rotation by the angle, tensors of the curtain and
-    of the weave are related by A = R A_weave R^T; on triples this is the matrix `to_curtain` (3, 3). Every curtain has
-    one of these, made with the discrete problem, also at the angle 0; nothing behind it looks at the kind of `own`.
+    With R the rotation of the weave, tensors of the curtain are A = R A_weave R^T: on triples the matrix `to_curtain`
+    (3, 3), and `to_weave` back.
     """
 
     own: MembraneLaw
-    angle_deg: float = 0.0
+    to_curtain: Array
+    to_weave: Array
 
-    @property
-    def name(self) -> str:
-        return self.own.name
+    name = property(lambda self: self.own.name)
+    cell = property(lambda self: self.own.cell)
+    compliance = property(lambda self: self.to_curtain @ self.own.compliance @ self.to_weave)
 
-    @property
-    def cell(self) -> CellInfo | None:
-        return self.own.cell
-
-    @property
-    def compliance(self) -> Array:
-        """The metric of the response in the frame of the curtain, see MembraneLaw."""
-        return self.to_curtain @ self.own.compliance @ self.to_weave
-
-    @cached_property
-    def to_curtain(self) -> Array:
-        """Triples of the weave to triples of the curtain (3, 3)."""
-        return rotation_on_triples(self.angle_deg)
-
-    @cached_property
-    def to_weave(self) -> Array:
-        """Triples of the curtain to triples of the weave (3, 3)."""
-        return rotation_on_triples(-self.angle_deg)
+    @classmethod
+    def at(cls, own: MembraneLaw, angle_deg: float) -> HungLaw:
+        """The law of a weave that is rotated counterclockwise by an angle in the curtain."""
+        return cls(own, rotation_on_triples(angle_deg), rotation_on_triples(-angle_deg))
 
     def in_weave(self, A: Array) -> Array:
         """Triples (n, 3) of the curtain in the frame of the weave."""

@@ -1,7 +1,7 @@
 """A discretised curtain with its supports: positions x = x_held + T z of the free unknowns z.
 
-Supports are linear: a held component is a number in x_held, a bar that stays straight ties its nodes to two of them
-through T. With no ties T only picks the free components, and matrices are assembled on these at once.
+A held component is a number in x_held; a bar that stays straight ties its nodes to two of them through T. With no ties
+T only picks the free components, and matrices are assembled on these at once.
 """
 
 from __future__ import annotations
@@ -73,11 +73,6 @@ class SupportedFem:
         """Positions of the nodes in the plane reference state (n_nodes, d), mm."""
         return in_space_of(self.disc.nodes, self.d)
 
-    @property
-    def weight(self) -> Array:
-        """Reference area of each point (nq,), mm2."""
-        return self.disc.weight
-
     @cached_property
     def pattern(self) -> SparsityPattern:
         """Where matrix entries go: on the free unknowns, or on all of them if ties must be applied afterwards."""
@@ -116,13 +111,11 @@ class SupportedFem:
         return (self.T @ dz).reshape(self.x_held.shape)
 
     def factorize(self, tangent: Array, added: Array | None = None) -> Callable[[Array], Array]:
-        """A solver of B^T (w A) B x = b for tangents A (nq, d, 2, d, 2); ArithmeticError if it has none.
+        """A solver of B^T (w A) B x = b for tangents A (nq, d, 2, d, 2), with data `added` (nnz,) of the lower triangle
+        of `pattern`, such as that of walls; ArithmeticError if there is none.
 
-        `added` (nnz,) is data of the lower triangle of `pattern` that is added, such as that of walls.
-
-        Close to the solution of a rigid curtain the stiffnesses of taut and slack places differ by 16 orders and more.
-        If a pivot is lost to rounding a multiple of the diagonal is added. Two rounds of refinement with the true
-        matrix remove most of its effect.
+        Stiffnesses of taut and slack places may differ by 16 orders. If a pivot is lost to rounding a multiple of the
+        diagonal is added; two rounds of refinement with the true matrix remove most of its effect.
         """
         data = stiffness(self.disc, self.pattern, tangent)
         matrix = self.pattern.full(data if added is None else data + added)
@@ -150,10 +143,8 @@ class SupportedFem:
 
 
 def with_loose_nodes(fem: SupportedFem, count: int) -> SupportedFem:
-    """The discretisation with `count` free nodes more, numbered last and coupled with all others; x_held is 0 there.
-
-    They are bodies with mass. A half-space n.(x_i - c) >= R between a point of the curtain and the centre c of a ball
-    has the share 1 at the nodes of the point and -1 at that of the ball, so that the push on both is the same.
+    """The discretisation with `count` free nodes more, the centres of bodies with mass: numbered last and coupled with
+    all others; x_held is 0 there.
     """
     if not count:
         return fem

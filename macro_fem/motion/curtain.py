@@ -151,7 +151,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             end.x,
             held,
             end.pushes,
-            inner=float((fem.weight[:, None, None] * P * (F[1] - F[0])).sum()),
+            inner=float((fem.disc.weight[:, None, None] * P * (F[1] - F[0])).sum()),
             stored=None if self.is_rigid else stored_energy(problem, F[1]) - stored_energy(problem, F[0]),
             moved=moved,
             touched=touched,

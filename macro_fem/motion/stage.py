@@ -70,7 +70,7 @@ def weights_of(problem: CurtainProblem, balls: tuple[Ball, ...]) -> Array:
 
 def stored_energy(problem: CurtainProblem, F: Array) -> float:
     """The stored energy of an elastic curtain, N mm."""
-    return float(problem.fem.weight @ problem.elastic_law.response(green_strain(F)).energy)
+    return float(problem.fem.disc.weight @ problem.elastic_law.response(green_strain(F)).energy)
 
 
 def forces_at(problem: CurtainProblem, balls: tuple[Ball, ...], now: Moment, damping: float) -> Forces:

@@ -62,7 +62,7 @@ class _Place:
     @property
     def primal(self) -> float:
         """-l.z plus the stored energy, N mm."""
-        stored = 0.5 * float((self.program.fem.weight * soc.row_dot(self.state.eps, self.state.eps)).sum())
+        stored = 0.5 * float((self.program.fem.disc.weight * soc.row_dot(self.state.eps, self.state.eps)).sum())
         moving = 0.0 if self.program.inertia is None else self.program.inertia.energy(self.state.z)
         return stored - float(self.program.load @ self.state.z) + moving
 
@@ -105,12 +105,12 @@ def solve_path(
     `size` (mm) is the extent of the curtain: with the total load it makes the energy scale. A start well inside the law
     keeps the path inside and makes the primal value a bound.
     """
-    loads, inertia = load_scale(load, fem.weight), terms.inertia
+    loads, inertia = load_scale(load, fem.disc.weight), terms.inertia
     program = Program(
         fem=fem,
         law=law,
         load=load if terms.guide is None else load + terms.guide,
-        cones=first_cones(law.half_spaces(), len(fem.weight)) if options.cones is None else options.cones,
+        cones=first_cones(law.half_spaces(), len(fem.disc.weight)) if options.cones is None else options.cones,
         R=compliance_root(terms.compliance),
         scale=loads * size + (0.0 if inertia is None else inertia.energy_scale),
         total=loads + (0.0 if inertia is None else inertia.force_scale),
@@ -127,7 +127,7 @@ def _follow(place: _Place, load: Array, options: PathOptions) -> tuple[_Place, _
     inner, best = replace(place, interior_margin=-place.violation), place
     prunes, steps, waited, held, first = list(options.pruned_at), 0, 0, 0, place.now.gap
     while (stop := _find_stop(place, inner, load, options, steps)) is None:
-        tell(f"curtain of {len(place.program.fem.weight)} points", way(first, place.now.gap, options.gap))
+        tell(f"curtain of {len(place.program.fem.disc.weight)} points", way(first, place.now.gap, options.gap))
         after = None if waited > PATIENCE else _try_step(place, options, may_wait=held < ANEW)
         if after is None:
             return best, inner, "stalled", steps

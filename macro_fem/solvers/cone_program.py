@@ -107,7 +107,7 @@ class Program:
     @cached_property
     def w(self) -> Array:
         """Reference area of the point of each cone (nc,), mm2."""
-        return self.fem.weight[self.cones.point]
+        return self.fem.disc.weight[self.cones.point]
 
     @cached_property
     def area(self) -> float:
@@ -203,8 +203,8 @@ def measure(program: Program, state: ConeState) -> Measure:
     r_s, r_t = state.s - wanted, state.t - rows.slack(state.z)
     zero = np.zeros_like(state.z)
     dual = -float((w * state.y.head * program.c).sum())
-    dual -= float((fem.weight * (sum_of_parts * fem.gradient(zero)).sum(axis=(1, 2))).sum())
-    dual -= 0.5 * float((fem.weight * soc.row_dot(strain, strain)).sum())
+    dual -= float((fem.disc.weight * (sum_of_parts * fem.gradient(zero)).sum(axis=(1, 2))).sum())
+    dual -= 0.5 * float((fem.disc.weight * soc.row_dot(strain, strain)).sum())
     dual -= float((rows.v * state.u * rows.slack(zero)).sum())
     unbalanced = float(np.abs(r_x).sum()) / program.total
     lower = (dual - float(((program.load + r_y) * state.z).sum()) + energy) / scale
@@ -212,7 +212,7 @@ def measure(program: Program, state: ConeState) -> Measure:
         gap=mean_product(program, state) * program.area / scale,
         unbalanced=unbalanced,
         outside=max(float(np.sqrt((r_s.dot(r_s) / program.c**2).max())), float(np.abs(r_t).max(initial=0.0))),
-        strain=float(np.sqrt((fem.weight * soc.row_dot(r_e, r_e)).sum() / scale)),
+        strain=float(np.sqrt((fem.disc.weight * soc.row_dot(r_e, r_e)).sum() / scale)),
         dual=dual / scale,
         lower=lower - (REACH * unbalanced if below is None else below / scale),
         wanted=wanted,
@@ -232,7 +232,7 @@ def mean_product(program: Program, state: ConeState) -> float:
 
 def find_first_state(program: Program, z: Array, first_gap: float) -> ConeState:
     """A state at z on the central path of the first gap; cone vectors of violated cones are lifted inside."""
-    eps = np.zeros((len(program.fem.weight), program.N.shape[1]))
+    eps = np.zeros((len(program.fem.disc.weight), program.N.shape[1]))
     s = program.slack(z, eps).lifted(LIFT * program.c)
     t = np.maximum(program.rows.slack(z), LIFT)
     mu = first_gap * program.scale / program.area

@@ -55,10 +55,10 @@ def solve_clarabel(
 
     `walls` are half-spaces on nodes, further linear rows of the program.
     """
-    total = load_scale(load, fem.weight)
+    total = load_scale(load, fem.disc.weight)
     F0, rows = fem.gradient(np.zeros(fem.n)).ravel(), rows_of(fem, walls, size)
     task = _Task(fem, load, size, total, gradient_matrix(fem), F0, rows, rows.A)
-    cones = first_cones(law.half_spaces(), len(fem.weight))
+    cones = first_cones(law.half_spaces(), len(fem.disc.weight))
     tell("clarabel, round 1")
     found = _solve(task, cones)
     for number in count(1):
@@ -191,7 +191,7 @@ def _solve(task: _Task, cones: Cones) -> _Found:
     y, push = np.split(task.total * size * z, [int(start[-1])])
     w_head, w_tail = y[start[:-1]], np.where(np.isin(np.arange(len(y)), start[:-1]), 0.0, y)
     flat = -np.asarray(M.T @ w_tail)  # w P at the points
-    weight = fem.weight[:, None, None]
+    weight = fem.disc.weight[:, None, None]
     P = flat.reshape(-1, d, 2) / weight
     z = size * x
     unbalanced = float(np.abs(task.load - fem.force(P) + task.A.T @ push).sum()) / task.total
@@ -199,7 +199,7 @@ def _solve(task: _Task, cones: Cones) -> _Found:
     dual -= REACH * unbalanced * task.total * size
     return _Found(
         z=z,
-        lam=w_head / fem.weight[cones.point] / c,
+        lam=w_head / fem.disc.weight[cones.point] / c,
         u=push / task.rows.v,
         P=P,
         dual=dual,

@@ -47,7 +47,7 @@ def advance(moving: Moving, moments: list[Moment], forces: Forces, h: float, acc
     end = solve_step(moving, change, forces, now.x, None, tangents)
     assert end.result.converged, end.result.message
     F = [moving.fem.gradient(moving.fem.unknowns(x)) for x in (now.x, end.x)]
-    P, w = end.result.P, moving.fem.weight
+    P, w = end.result.P, moving.fem.disc.weight
     stored = None
     if moving.compliance.any():
         psi = [moving.law.response(green_strain(one)).energy for one in F]
@@ -173,11 +173,11 @@ def test_matrix_of_loose_nodes_is_that_of_dense_algebra(is_tied):
     W = W @ W.transpose(0, 2, 1)
     inertia = Inertia(loose, W, rng.normal(size=(n + 2, 3)))
     weight = rng.uniform(0.1, 1.0, m)
-    tangent = np.tile(np.eye(6).reshape(3, 2, 3, 2), (len(loose.weight), 1, 1, 1, 1))
+    tangent = np.tile(np.eye(6).reshape(3, 2, 3, 2), (len(loose.disc.weight), 1, 1, 1, 1))
     solve = loose.factorize(tangent, rows.added(weight) + inertia.data)
     A = np.stack([rows.slack(e) - rows.slack(0.0 * e) for e in np.eye(loose.n)], axis=1)
     B = np.stack([loose.gradient_change(e).ravel() for e in np.eye(loose.n)], axis=1)
-    K = B.T @ (np.repeat(loose.weight, 6)[:, None] * B) + A.T @ ((rows.v * weight)[:, None] * A)
+    K = B.T @ (np.repeat(loose.disc.weight, 6)[:, None] * B) + A.T @ ((rows.v * weight)[:, None] * A)
     K = K + sparse.block_diag(list(W)).toarray()
     b = rng.normal(size=loose.n)
     assert K @ solve(b) == pytest.approx(b, abs=1e-9)

@@ -40,7 +40,7 @@ def loads():
 
 @pytest.mark.parametrize("angle", ANGLES)
 def test_support_and_compliance_turn_with_the_weave(loads, angle):
-    law, seen = stiff_across(), HungLaw(stiff_across(), angle)
+    law, seen = stiff_across(), HungLaw.at(stiff_across(), angle)
     assert seen.support(rotated(loads, angle)) == pytest.approx(law.support(loads), rel=1e-9)
     give = loads @ law.compliance.T
     assert rotated(loads, angle) @ seen.compliance.T == pytest.approx(rotated(give, angle), abs=1e-12 * abs(give).max())
@@ -49,7 +49,7 @@ def test_support_and_compliance_turn_with_the_weave(loads, angle):
 
 @pytest.mark.parametrize("angle", ANGLES)
 def test_response_and_cut_turn_with_the_weave(angle):
-    law, seen = stiff_across(), HungLaw(stiff_across(), angle)
+    law, seen = stiff_across(), HungLaw.at(stiff_across(), angle)
     E = np.random.default_rng(3).normal(scale=0.3, size=(20, 3))
     here, there = law.response(E), seen.response(rotated(E, angle))
     assert there.energy == pytest.approx(here.energy, rel=1e-7, abs=1e-9 * here.energy.max())
@@ -63,7 +63,7 @@ def test_response_and_cut_turn_with_the_weave(angle):
 
 @pytest.mark.parametrize("angle", ANGLES)
 def test_first_half_spaces_and_tangent_turn_with_the_weave(angle):
-    law, seen = stiff_across(), HungLaw(stiff_across(), angle)
+    law, seen = stiff_across(), HungLaw.at(stiff_across(), angle)
     start, there = law.half_spaces(), seen.half_spaces()
     assert np.allclose(there.S, rotated(start.S, angle), rtol=0.0, atol=1e-12)
     assert there.h == pytest.approx(start.h)
