@@ -24,8 +24,8 @@ from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, InputError
 
 INWARD = 0.05
-"""How far the start of a load step is drawn from the last curtain to the slack start, where 1 is that. On the last
-curtain itself no cone has any margin left; farther away more steps are needed."""
+"""How far the start of a load step is drawn from the last curtain, where no cone has any margin left, to the slack
+start; farther away more steps are needed."""
 ELASTIC_GAP = 1e-2
 """Stresses of an elastic curtain are off by the square root of the gap, so its path is followed further down: to this
 part of the gap asked for."""
@@ -85,15 +85,12 @@ def _unsolved(problem: CurtainProblem, stop: str) -> PathResult:
     """What stands for an answer where supports or obstacles leave none: the slack start without stress."""
     z, n = problem.fem.unknowns(gathered_start(problem)), problem.disc.n_points
     worst, cones = Evidence(np.inf, np.inf, np.inf), first_cones(problem.law.half_spaces(), n)
-    P = 0.0 * problem.fem.gradient(z)
-    return PathResult(stop, worst, PATH.accuracy, z, np.zeros((n, 3)), np.zeros(n), cones, P, np.nan, np.nan, 0)
+    P, pushes = 0.0 * problem.fem.gradient(z), np.zeros(len(problem.walls or ()))
+    return PathResult(stop, worst, PATH.accuracy, z, np.zeros((n, 3)), np.zeros(n), cones, P, np.nan, np.nan, 0, pushes)
 
 
 def held_in_place(found: CurtainSolution) -> CurtainSolution:
-    """The curtain; InputError if obstacles or wind push it along a direction in which nothing holds it.
-
-    Supports that let a curtain slide are given pins, which must stay without force.
-    """
+    """The curtain; InputError if obstacles or wind push it along a direction in which nothing but a pin holds it."""
     problem, pins = found.problem, found.problem.supports.pins
     if not len(pins.nodes) or found.status not in ("converged", "taut"):
         return found
@@ -159,7 +156,7 @@ def _solve_within_reach(
 def make_solution(
     problem: CurtainProblem, result: PathResult, reach: Reach, relaxation: float | None
 ) -> CurtainSolution:
-    """The record. The dual value is that of the spread problem, made a bound for the load's own potential."""
+    """The record, the dual value of the spread problem made a bound for the load's own potential."""
     fem, elastic = problem.fem, is_elastic(problem.scene)
     x, F = fem.positions(result.z), fem.gradient(result.z)
     tension = 0.0 if elastic else stabilising_tension(problem)
@@ -170,13 +167,12 @@ def make_solution(
     allowance = _tension_allowance(problem, tension)
     scale = load_scale(problem.force, problem.disc.weight) * problem.mesh.size
     stored = float(fem.disc.weight @ problem.elastic_law.response(green_strain(F)).energy) if elastic else 0.0
-    pushes = result.wall_forces if result.wall_forces.size else np.zeros(len(problem.walls or ()))
     return CurtainSolution(
         problem=problem,
         stop=result.stop,
         asked=replace(result.asked, gap=result.asked.gap + 2.0 * allowance / scale),
         x=x,
-        inner=InnerForces(result.P, result.S, tension, pushes),
+        inner=InnerForces(result.P, result.S, tension, result.wall_forces),
         primal=stored - work,
         dual=result.dual + shift - allowance - held_part,
         iterations=result.iterations,

@@ -1,10 +1,9 @@
 """Forces that rigid rings leave open, decided by the elasticity of the rings: a second step after the rigid shape.
 
-Forces of supports are unique if balance alone decides them: no forces of the held components are in balance by
-themselves. Or if they act at two points: balance then leaves one pull along their line, the slope of the least
-potential over their distance, which is convex and has a slope at all but countably many distances. Level supports at
-more points, as far apart as the mesh is wide, are where the potential has a kink: columns of rings lock side by side
-and may share the load in many ways. Elastic rings have one answer.
+Forces of supports are unique if balance alone decides them, or if they act at two points: balance then leaves one pull
+along their line, the slope of the least potential over their distance. Level supports at more points, as far apart as
+the mesh is wide, are where the potential has a kink: columns of rings lock side by side and may share the load in many
+ways. Elastic rings have one answer.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Forces f are looked for that a map G leaves: G(f) - f = 0. The next ones are those at which the changes seen so far, if
 they were linear, would cancel, plus a part of what then remains. Where a change is far larger than the least one, the
-forces of that one are tried again with half the part, and all but the newest few are forgotten: wind that follows a
-curtain has a slope of G far below -1, so that rounds swing between a curtain that flies and one that hangs.
+forces of that one are tried again with half the part, and all but the newest few are forgotten: the slope of G may be
+far below -1, so that rounds swing between a curtain that flies and one that hangs.
 """
 
 from __future__ import annotations

@@ -109,8 +109,7 @@ def _with_obstacles(problem: CurtainProblem) -> CurtainProblem:
                 "more cells"
             )
         _check_outside(one, problem)
-    points = problem.disc.hull.places(fem.reference)
-    flat = [tangent_walls(one, fem, one.normal(points)) for one in obstacles if is_flat(one.obstacle)]
+    flat = [tangent_walls(one, fem, fem.reference) for one in obstacles if is_flat(one.obstacle)]
     bodies = tuple(one for one in obstacles if not is_flat(one.obstacle))
     return replace(problem, walls=Walls.joined(flat), bodies=bodies)
 
@@ -151,9 +150,10 @@ def meeting_points(obstacle: Obstacle, disc: Discretization) -> Points:
     return disc.meeting if getattr(obstacle, "clear", "nodes") == "cells" else disc.at_nodes
 
 
-def tangent_walls(body: PlacedObstacle, fem: SupportedFem, normal: Array) -> Walls:
-    """The half-spaces of normals (m, d) that touch a body, at all points that meet it and can move."""
+def tangent_walls(body: PlacedObstacle, fem: SupportedFem, x: Array) -> Walls:
+    """The half-spaces that touch a body where it is closest to the points that meet it and can move, for nodes at x."""
     at = meeting_points(body.obstacle, fem.disc)
+    normal = body.normal(at.places(x))
     free = np.flatnonzero((np.not_equal(at.share, 0.0) & ~np.all(fem.held, axis=1)[at.node]).any(axis=1))
     return Walls(at.take(free), normal[free], body.offset(normal[free]), np.full(len(free), body.number))
 

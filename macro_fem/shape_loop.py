@@ -22,7 +22,7 @@ from macro_fem.drag import loaded, senses, wind_density, with_wind
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import FINE
 from macro_fem.mixing import Mixer
-from macro_fem.problem import CurtainProblem, meeting_points, tangent_walls
+from macro_fem.problem import CurtainProblem, tangent_walls
 from macro_fem.scene.loads import wind_per_area
 from macro_fem.scene.obstacles import PlacedObstacle
 from macro_fem.solution import CurtainSolution
@@ -84,19 +84,19 @@ def solve_shape(
         shape = X @ problem.frame.T if scene.start is None else scene.start.places(X)
     wind = wind_density(problem, shape, sense)
     watch = _Watch(problem, 0.0 if start is None or start.settling is None else start.settling.crossed)
-    normals, found = _approach(problem, first, wind, start, solve, watch)
+    tangents, found = _approach(problem, first, wind, start, solve, watch)
     record, misfits, damping = None, list[float](), DAMPING
     for rounds in range(1, most + 1):
         if found.status in ("infeasible", "not_finite"):
             break
         change = wind_density(problem, found.x, sense) - wind
-        turned = _normals(problem.bodies, problem, found.x)
+        turned = _tangents(problem, found.x)
         record = _measure_settling(problem, found, turned, change, settled)
         record = replace(record, rounds=rounds, crossed=watch.deepest)
         if record.is_settled or (problem.winds and mixer.idle > IDLE):
             break
         misfits.append(record.misfit)
-        normals = turned
+        tangents = turned
         if not is_steep and np.linalg.norm(change) > MIXED_FROM * np.linalg.norm(wind):
             damping = max(LEAST_DAMPING, 0.5 * damping) if len(misfits) > 1 and misfits[-1] > misfits[-2] else damping
             shape = shape + damping * (found.x - shape)
@@ -106,7 +106,7 @@ def solve_shape(
         if rounds < most:
             share = way(misfits[0], record.misfit, settled)
             with part_of(f"shape of the curtain, round {rounds}", share, share):
-                last, found = found, solve(_pose(problem, normals, wind), found)
+                last, found = found, solve(_pose(problem, tangents, wind), found)
             watch.look(problem.bodies, last.x, found.x)
     own = replace(found.problem, scene=scene, bodies=problem.bodies, winds=problem.winds)
     return replace(found, problem=own, settling=record, wall_s=time.perf_counter() - begin)
@@ -119,7 +119,7 @@ def _approach(
     start: CurtainSolution | None,
     solve: Solve,
     watch: _Watch,
-) -> tuple[list[Array], CurtainSolution]:
+) -> tuple[list[Walls], CurtainSolution]:
     """The first tangent half-spaces and the curtain in them, after supports and bodies have moved into place: in as
     large strides as leave a state in the half-spaces found before. After `SHORTEST` the curtain says it is blocked.
     """
@@ -129,33 +129,30 @@ def _approach(
     while True:
         part = min(1.0, done + stride)
         factors = (before + done * (problem.factor - before), before + part * (problem.factor - before))
-        bodies = tuple(PlacedObstacle(one.number, one.obstacle, factors[1], one.d) for one in problem.bodies)
+        bodies = tuple(replace(one, factor=factors[1]) for one in problem.bodies)
         fem = problem.fem.moved((1.0 - part) * held + part * problem.fem.x_held) if part < 1.0 else problem.fem
-        pushed = _push_out(problem, x, *factors, watch)
-        normals = _normals(bodies, problem, pushed)
+        pushed, here = _push_out(problem, x, *factors, watch), replace(problem, fem=fem, bodies=bodies)
+        tangents = _tangents(here, pushed)
         with part_of(f"moving into place, {100.0 * done:.0f} % done", done, part):
-            found = solve(_pose(replace(problem, fem=fem, bodies=bodies), normals, wind), last)
+            found = solve(_pose(here, tangents, wind), last)
         if found.status == "infeasible" and stride > SHORTEST:
             stride *= 0.5
             continue
         watch.look(bodies, pushed, found.x)
         if found.status == "infeasible" or part == 1.0:
-            return normals, found
+            return tangents, found
         done, x, last = part, found.x, found
 
 
-def _normals(bodies: Sequence[PlacedObstacle], problem: CurtainProblem, x: Array) -> list[Array]:
-    """Normals (m, d) of the half-spaces that touch each body, at the points where the mesh meets bodies."""
-    return [body.normal(meeting_points(body.obstacle, problem.disc).places(x)) for body in bodies]
+def _tangents(problem: CurtainProblem, x: Array) -> list[Walls]:
+    """The half-spaces that touch each body, as seen from nodes at x (n_nodes, d)."""
+    return [tangent_walls(body, problem.fem, x) for body in problem.bodies]
 
 
 def _stride(problem: CurtainProblem, before: float) -> float:
     """The part of their moves that no body should exceed at once: farther, and it may pass between nodes."""
-    parts = [1.0]
-    for body in problem.bodies:
-        way = (problem.factor - before) * float(np.linalg.norm(body.obstacle.move))
-        parts.append(PACE * body.obstacle.breadth / max(way, 1e-300))
-    return max(SHORTEST, min(parts))
+    parts = [one.obstacle.breadth / max(float(np.linalg.norm(one.obstacle.move)), 1e-300) for one in problem.bodies]
+    return max(SHORTEST, min([1.0, *(PACE * part / max(problem.factor - before, 1e-300) for part in parts)]))
 
 
 class _Watch:
@@ -184,12 +181,10 @@ class _Watch:
             self.deepest = max(self.deepest, deep / half)
 
 
-def _pose(problem: CurtainProblem, normals: list[Array], wind: Array) -> CurtainProblem:
-    """The convex problem with tangent half-spaces of these normals and dead wind (n_points, d) in N/mm2."""
+def _pose(problem: CurtainProblem, tangents: list[Walls], wind: Array) -> CurtainProblem:
+    """The convex problem with tangent half-spaces and dead wind (n_points, d) in N/mm2."""
     flat = [] if problem.walls is None else [problem.walls]
-    tangent = [tangent_walls(body, problem.fem, normal) for body, normal in zip(problem.bodies, normals, strict=True)]
-    walls = Walls.joined([*flat, *tangent])
-    posed = replace(problem, bodies=(), winds=(), walls=walls)
+    posed = replace(problem, bodies=(), winds=(), walls=Walls.joined([*flat, *tangents]))
     return with_wind(posed, wind) if problem.winds else posed
 
 
@@ -206,7 +201,7 @@ def _first(problem: CurtainProblem, solve: Solve) -> CurtainSolution:
         x = scene.start.places(disc.nodes)
         found = replace(found, x=x)
     for body in problem.bodies:
-        here = PlacedObstacle(body.number, body.obstacle, 0.0, body.d)
+        here = replace(body, factor=0.0)
         deep = -float(here.gap(disc.lattice.places(found.x)).min())
         if deep > TOUCHED * problem.mesh.size:
             raise InputError(
@@ -221,25 +216,24 @@ def _push_out(problem: CurtainProblem, x: Array, before: float, after: float, wa
     for factor in np.linspace(before, after, STRIDES + 1)[1:]:
         for body in problem.bodies:
             if any(body.obstacle.move):
-                here = PlacedObstacle(body.number, body.obstacle, float(factor), body.d)
+                here = replace(body, factor=float(factor))
                 x = x + np.maximum(-here.gap(x), 0.0)[:, None] * here.normal(x)
                 watch.look([here], x, x)
     return x
 
 
 def _measure_settling(
-    problem: CurtainProblem, found: CurtainSolution, turned: list[Array], change: Array, settled: float
+    problem: CurtainProblem, found: CurtainSolution, turned: list[Walls], change: Array, settled: float
 ) -> Settling:
     """The residuals of a round: how much its reactions and the wind turn at its own shape."""
     walls, x = found.problem.walls, found.x
     total = load_scale(found.problem.force, problem.disc.weight)
     turning = load_vector(loaded(problem), change) if problem.winds else np.zeros((0, 3))
     misfit, product, deepest, depth = float(np.linalg.norm(turning, axis=1).sum()), 0.0, 0.0, 0.0
-    for body, normal in zip(problem.bodies, turned, strict=True):
+    for body, now in zip(problem.bodies, turned, strict=True):
         assert walls is not None
         of_body = walls.owner == body.number
         own, push = walls.take(of_body), found.wall_forces[of_body]
-        now = tangent_walls(body, problem.fem, normal)
         misfit += float(push @ np.linalg.norm(now.normal - own.normal, axis=1))
         product += float(push @ np.abs(body.gap(own.at.places(x))))
         inside = max(0.0, -float(body.gap(problem.disc.lattice.places(x)).min()))

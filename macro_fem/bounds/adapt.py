@@ -1,9 +1,8 @@
 """The upper bound, a quadratic curtain that obeys the law everywhere; meshes that follow the error: triangles that hold
 most of the gap between the bounds are refined.
 
-In a triangle with straight sides F of a P2 curtain is linear, and |F L| is convex, so that its largest value is at a
-corner. With the half-spaces at the three corners of every triangle, not at quadrature points, a P2 curtain is
-admissible everywhere and its potential an upper bound. Loads are integrated as for any P2 curtain.
+In a triangle F of a P2 curtain is linear and |F L| convex, so that its largest value is at a corner: with half-spaces
+at the corners, not at quadrature points, a P2 curtain is admissible everywhere and its potential an upper bound.
 """
 
 from __future__ import annotations

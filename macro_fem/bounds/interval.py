@@ -1,14 +1,11 @@
 """A certified interval for the potential of the continuous curtain, and where its width comes from.
 
 Upper bound: a conforming curtain, admissible in every triangle (`macro_fem.bounds.adapt`). Lower bound: the
-equilibrated stress of `macro_fem.bounds.equilibrated`, with every half-space an outer one, so that it holds for the law
-and not for a few planes. With an outer law below and an inner one above, the interval holds for every law between.
-Supports and loads at points, which no line traction can meet, are spread over the edges around the point; the true
-position x(s) at a distance s from a held point stays within kappa s of it, kappa the largest stretch along the edge, so
-that the work of the spread reaction r differs from that of the point reaction by at most the integral of kappa |r| s:
-this is subtracted.
-
-The width of the interval is the sum over the triangles of  integral of psi*(P) - P:F >= 0  plus what points cost.
+equilibrated stress of `macro_fem.bounds.equilibrated`, for the whole law. With an outer law below and an inner one
+above, the interval holds for every law between. Supports and loads at points are spread over the edges around the
+point: a place at a distance s from it stays within kappa s, kappa the largest stretch along the edge, so that the
+integral of kappa |r| s over the spread reaction r is subtracted. The width of the interval is the sum over the
+triangles of  integral of psi*(P) - P:F >= 0  plus what points cost.
 """
 
 from __future__ import annotations

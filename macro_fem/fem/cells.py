@@ -4,11 +4,9 @@ z towards the viewer."""
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rve.common import Array
-
-Index = NDArray[np.int64]
+from rve.common.records import Index
 
 
 def cross(u: Array, v: Array) -> Array:

@@ -16,11 +16,9 @@ from typing import Any
 
 import numpy as np
 import skfem
-from numpy.typing import NDArray
 
 from rve.common import Array, Rows
-
-Index = NDArray[np.int64]
+from rve.common.records import Index
 
 ELEMENTS: dict[str, tuple[Any, int]] = {"P1": (skfem.ElementTriP1, 0), "P2": (skfem.ElementTriP2, 2)}
 """Element and order of its quadrature, the fewest points that integrate the stiffness without spurious modes."""

@@ -7,7 +7,7 @@ from scipy import sparse
 
 from macro_fem.fem.discretization import Points
 from macro_fem.motion.step import Stepped
-from macro_fem.problem import CurtainProblem, meeting_points, placed_obstacles, tangent_walls
+from macro_fem.problem import CurtainProblem, placed_obstacles, tangent_walls
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.obstacles import PlacedObstacle
 from macro_fem.solution import CurtainSolution
@@ -45,11 +45,7 @@ class Contacts:
         return Walls.joined([*self._flat_and_bodies(x), *self._of_balls(x), *self._between(x[self.n :])])
 
     def _flat_and_bodies(self, x: Array) -> list[Walls]:
-        problem = self.problem
-        return [
-            tangent_walls(one, problem.fem, one.normal(meeting_points(one.obstacle, problem.disc).places(x[: self.n])))
-            for one in self.obstacles
-        ]
+        return [tangent_walls(one, self.problem.fem, x[: self.n]) for one in self.obstacles]
 
     def _of_balls(self, x: Array) -> list[Walls]:
         points, found = self.problem.disc.meeting, []

@@ -36,11 +36,9 @@ GOOD = 0.5
 ANEW = 2
 """but no more often than this in a row. More costs factorisations, less short steps."""
 RELEASED = 1e-7
-"""Relative gap at which a guiding load is taken away. Earlier, slack parts move from where it has put them; later,
-steps are short, as the path is closer to the boundary."""
+"""Relative gap at which a guiding load is taken away. Earlier, slack parts move again; later, steps are short."""
 INSIDE = 1e-3
-"""Relative margin in the law from which a state is good enough to draw the answer back to. Larger values keep earlier
-states, farther from the answer."""
+"""Relative margin in the law from which the answer is drawn back to a state. Larger: earlier, farther states."""
 MOST_DRAWN = 1e-3
 """Longest part of the way to that state that the answer is drawn. More would hide a wrong answer."""
 
@@ -173,9 +171,8 @@ def _try_step(place: _Place, options: PathOptions, *, may_wait: bool) -> tuple[P
 
 
 def _find_stop(place: _Place, inner: _Place, load: Array, options: PathOptions, steps: int) -> str | None:
-    """Why the path ends at a place after so many steps; None where it goes on, as it does while a guide acts.
-
-    An answer whose own numbers are not yet as good as asked is no end: smaller residuals make it so.
+    """Why the path ends at a place after so many steps; None where it goes on, as it does while a guide acts or the
+    answer's own numbers are not as good as asked.
     """
     if _is_certificate(place.program, place.now):
         return "blocked" if len(place.state.u) else "infeasible"
@@ -189,9 +186,8 @@ def _find_stop(place: _Place, inner: _Place, load: Array, options: PathOptions, 
 
 
 def _draw_inside(place: _Place, inner: _Place, options: PathOptions) -> _Place:
-    """A rigid place drawn towards the inner one by the least amount found that brings it inside the whole law.
-
-    The place itself where that way is too long to be a correction of rounding: its violation is then reported.
+    """A rigid place drawn towards the inner one by the least amount found that brings it inside the whole law; the
+    place itself where that is more than a correction of rounding.
     """
     if not options.drawn or place.program.lead or inner.interior_margin <= 0.0:
         return place

@@ -19,8 +19,7 @@ BOUNDARY = 0.98
 
 @dataclass(frozen=True)
 class ConeStep:
-    """Changes of the unknowns, the cone vectors and what is asked of them; lengths at most 1; the share of residuals
-    kept."""
+    """Changes of a state and of the cone vectors asked for, the share of residuals kept, lengths of at most 1."""
 
     dz: Array
     deps: Array
@@ -39,9 +38,9 @@ def _solve(A: Array, b: Array) -> Array:
 
 
 class _Newton:
-    """Newton's matrix in the scaling of a state, factorised; directions for different aims share it.
+    """Newton's matrix in the scaling of a state, factorised, for directions to different aims.
 
-    Strains are eliminated point by point, by Cholesky's factor, for an inverse would lose the square of its digits.
+    Strains are eliminated point by point, by Cholesky's factor: an inverse would lose the square of its digits.
     """
 
     def __init__(self, program: Program, state: ConeState, now: Measure) -> None:
@@ -92,18 +91,18 @@ class _Newton:
         return ConeStep(dz, deps, ds, aimed - W.undo(scaled), d_wanted, dt, du, keep), scaled, both - scaled
 
 
-def step_lengths(program: Program, state: ConeState, step: ConeStep, boundary: float) -> tuple[float, float]:
-    """How far s and y may go, at most 1; equally far where strains tie them together."""
+def limited(program: Program, state: ConeState, step: ConeStep, boundary: float) -> ConeStep:
+    """The step with lengths, at most 1, of this part of the way to the boundary; equal where strains tie s and y."""
     primal = min(1.0, boundary * soc.largest_step(state.s, step.ds), boundary * longest(state.t, step.dt))
     dual = min(1.0, boundary * soc.largest_step(state.y, step.dy), boundary * longest(state.u, step.du))
-    return (min(primal, dual),) * 2 if program.lead else (primal, dual)
+    both = min(primal, dual)
+    return replace(step, primal=both, dual=both) if program.lead else replace(step, primal=primal, dual=dual)
 
 
 def find_step(program: Program, state: ConeState, now: Measure, least_gap: float) -> ConeStep | None:
     """A predictor-corrector step and its lengths; None if rounding leaves none.
 
-    The aim is no closer than `least_gap` (relative to the scale): with gaps far below the residuals Newton's matrix
-    would lose its digits to them, and steps get stuck.
+    The aim is no closer than `least_gap`, relative to the scale: Newton's matrix loses its digits to smaller ones.
     """
     try:
         newton = _Newton(program, state, now)
@@ -114,16 +113,15 @@ def find_step(program: Program, state: ConeState, now: Measure, least_gap: float
     square = soc.product(newton.point, newton.point)
     row_square = state.t * state.u
     affine, scaled_ds, scaled_dy = newton.direction(square * -1.0, -row_square, 0.0)
-    reach = min(step_lengths(program, state, affine, 1.0))
-    sigma = (1.0 - reach) ** 3
+    affine = limited(program, state, affine, 1.0)
+    sigma = (1.0 - min(affine.primal, affine.dual)) ** 3
     second = soc.product(scaled_ds, scaled_dy)
     aim = max(sigma * mu, min(mu, least_gap * program.scale / program.area))
     row_aim = aim - row_square - affine.dt * affine.du
     step, _, _ = newton.direction(unit * aim - square - second, row_aim, sigma)
     if not (np.all(np.isfinite(step.dz)) and np.all(np.isfinite(step.dy.head))):
         return None
-    primal, dual = step_lengths(program, state, step, BOUNDARY)
-    return replace(step, primal=primal, dual=dual)
+    return limited(program, state, step, BOUNDARY)
 
 
 def advance(state: ConeState, step: ConeStep) -> ConeState:

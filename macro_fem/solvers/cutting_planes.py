@@ -14,7 +14,7 @@ import numpy as np
 from homogenize import Cut
 from macro_fem.solvers import soc
 from macro_fem.solvers.cone_program import LIFT, ConeState, Measure, Program, mean_product
-from macro_fem.solvers.cone_step import BOUNDARY, ConeStep
+from macro_fem.solvers.cone_step import BOUNDARY, ConeStep, limited
 from macro_fem.solvers.cones import all_cuts, with_cuts
 from macro_fem.solvers.soc import Vectors
 from rve.common import Array
@@ -112,15 +112,10 @@ def widen(step: ConeStep, into: Joined) -> ConeStep:
     """The step for the wider program: the old changes, of the new cones the primal part alone, and lengths for both."""
     fresh, order, program, state = into.fresh, into.order, into.program, into.state
     d_wanted = program.map(program.fem.gradient_change(step.dz), step.deps, fresh)
-    s = _chosen(state.s, fresh)
-    ds = d_wanted - (s - program.slack(state.z, state.eps, fresh)) * (1.0 - step.keep)
-    dy = _merged(step.dy, ds * 0.0, order)
-    primal = min(step.primal, BOUNDARY * soc.largest_step(s, ds))
-    dual = min(step.dual, BOUNDARY * soc.largest_step(state.y, dy))
-    if program.lead:
-        primal = dual = min(primal, dual)
-    ds, d_wanted = _merged(step.ds, ds, order), _merged(step.d_wanted, d_wanted, order)
-    return replace(step, ds=ds, dy=dy, d_wanted=d_wanted, primal=primal, dual=dual)
+    ds = d_wanted - (_chosen(state.s, fresh) - program.slack(state.z, state.eps, fresh)) * (1.0 - step.keep)
+    new = zip((step.ds, step.dy, step.d_wanted), (ds, ds * 0.0, d_wanted), strict=True)
+    ds, dy, d_wanted = (_merged(old, more, order) for old, more in new)
+    return limited(program, state, replace(step, ds=ds, dy=dy, d_wanted=d_wanted), BOUNDARY)
 
 
 def prune(program: Program, state: ConeState) -> tuple[Program, ConeState]:

@@ -1,16 +1,15 @@
 """The quadratic term of a step of motion, (x - x_hat).W (x - x_hat) / 2 over the nodes of a curtain.
 
 W holds one symmetric block per node: its mass over (beta h)^2, and what else resists its motion over beta h. With
-x = x_held + T z the term adds T^T W (x_hat - x) to the balance of forces and T^T W T to Newton's matrix, whose pattern
-stays. It also bounds what an unbalanced force r can gain, r.(T^T W T)^-1 r / 2, so that the lower bound of a step needs
-no assumption on how far its nodes may go.
+x = x_held + T z the term adds T^T W (x_hat - x) to the balance of forces and T^T W T to Newton's matrix, and it bounds
+what an unbalanced force r can gain, r.(T^T W T)^-1 r / 2.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -41,10 +40,6 @@ class Inertia:
         away = self.fem.positions(z) - self.x_hat
         return 0.5 * float((away * times(self.W, away)).sum())
 
-    def deficit(self, r: Array) -> float:
-        """r.(T^T W T)^-1 r / 2 for forces r (n,), N mm: what they can gain."""
-        return 0.5 * float(r @ self._solve(r))
-
     @cached_property
     def data(self) -> Array:
         """W as data of the lower triangle of `fem.pattern`."""
@@ -55,13 +50,15 @@ class Inertia:
         data = np.bincount(place[is_stored], self.W[is_stored], minlength=self.fem.pattern.nnz)
         return np.asarray(data, dtype=np.float64)
 
+    def deficit(self, r: Array) -> float:
+        """r.(T^T W T)^-1 r / 2 for forces r (n,), N mm: what they can gain."""
+        return 0.5 * float(r @ self._factor.solve(r))
+
     @cached_property
-    def _solve(self) -> Callable[[Array], Array]:
+    def _factor(self) -> Any:
         n, d = self.x_hat.shape
         whole = sparse.bsr_matrix((self.W, np.arange(n), np.arange(n + 1)), shape=(n * d, n * d))
-        T = self.fem.T
-        solve: Callable[[Array], Array] = sparse.linalg.splu(sparse.csc_matrix(T.T @ whole @ T)).solve
-        return solve
+        return sparse.linalg.splu(sparse.csc_matrix(self.fem.T.T @ whole @ self.fem.T))
 
 
 def times(W: Array, v: Array) -> Array:

@@ -15,8 +15,7 @@ from macro_fem.solvers.walls import Walls
 from rve.common import Array
 
 COUNTED = 10.0
-"""The gap of the answer may be this many times `gap`: it counts unbalanced forces REACH times and the cost of drawing
-the answer inside."""
+"""The gap of the answer, with unbalanced forces REACH times and the cost of drawing it inside, over `gap`."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +36,8 @@ class PathOptions:
     first_gap: float = 10.0
     """Gap of the first state in energy scales: 0.1 to 100 take about as many steps."""
     least_gap: float = 0.1
-    """The path is followed to this part of the gap asked for, then residuals are removed. Smaller parts lose digits of
-    Newton's matrix to gaps far below the residuals; larger ones leave less of the gap for rounding."""
+    """The path is followed to this part of the gap asked for, then residuals are removed. Smaller parts lose digits;
+    larger ones leave less of the gap for rounding."""
     pruned_at: tuple[float, ...] = (1e-1, 1e-2, 1e-3)
     """Relative gaps at which idle half-spaces are dropped, largest first; none keeps all. Small gaps risk circles."""
 
@@ -90,8 +89,8 @@ class PathResult(Judged):
     primal: float
     dual: float
     iterations: int
+    wall_forces: Array
     reach: Reach = FREE
-    wall_forces: Array = field(default_factory=lambda: np.zeros(0), repr=False)
 
     @cached_property
     def verdict(self) -> Verdict:

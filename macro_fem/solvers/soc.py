@@ -1,4 +1,4 @@
-"""Algebra of many second-order cones at once: products, inverses, scalings, steps to the boundary.
+"""Algebra of many second-order cones at once.
 
 A vector v = (v0, v1) of each cone is kept as head (n,) and tail (n, m); it lies in the cone if v0 >= |v1|. The Jordan
 product is v o u = (v0 u0 + v1.u1, v0 u1 + u0 v1) with the unit e = (1, 0). Nesterov and Todd's scaling W of a primal

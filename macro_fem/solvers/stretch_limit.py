@@ -4,15 +4,10 @@ With the supported positions multiplied by a factor t, positions t x_held + T z,
 
     maximise  t   over z, t   subject to   S:E(F(z, t)) <= h(S)   for every tensile S, at every point,
 
-whose constraints are slack at z = 0, t = 0: it always has a solution, and so has its dual, a stress that balances no
-load (a self-stress). Its optimum t* tells three cases apart. t* > 1: the answer / t* is slack everywhere, so
-multipliers are bounded by the load over t* - 1. t* < 1: the supports are out of reach, and the self-stress proves it.
-t* = 1: the supports hold the mesh at its largest stretch, and any multiple of the self-stress may be added to the
-multipliers.
-
-In the last case the dual problem has no solution, or no bounded set of them, and no interior point exists. So the law
-is relaxed by a relative stretch g: F / (1 + g) meets it, the curtain x / (1 + g) hangs from supports drawn together by
-as much.
+whose constraints are slack at z = 0, t = 0. t* > 1: the load over t* - 1 bounds multipliers. t* < 1: the supports are
+out of reach, and a self-stress proves it (`docs/theory.md`, section 5). t* = 1: any multiple of the self-stress may be
+added, and no interior point exists. So the law is relaxed by a relative stretch g: F / (1 + g) meets it, the curtain
+x / (1 + g) hangs from supports drawn together by as much.
 """
 
 from __future__ import annotations

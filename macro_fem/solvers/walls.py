@@ -1,9 +1,8 @@
 """Half-spaces on points of the curtain, normal . x >= offset: floors, walls, and the tangent planes of bodies.
 
-A point is a node or between nodes of one cell, x = sum of share times node. Each half-space is a linear cone of the
-program in `cone_program`. With the size of the curtain as unit its slack is s = (normal . x - offset) / size, its dual
-variable u in N/mm counts for the reference area of its point like the multipliers of the law, and the reaction is
-area u / size, a push along the normal in N.
+Each is a linear cone of the program in `cone_program`. With the size of the curtain as unit its slack is
+s = (normal . x - offset) / size, its dual variable u in N/mm counts for the reference area of its point like the
+multipliers of the law, and the reaction is area u / size, a push along the normal in N.
 """
 
 from __future__ import annotations
@@ -20,15 +19,13 @@ from macro_fem.fem.supported import SupportedFem
 from rve.common import Array, Rows
 
 TOUCHED = 1e-9
-"""Relative to the size: by how much a node that no unknown moves may be outside its half-space, as rounding."""
+"""Relative to the size: by how much a node that no unknown moves may be outside its half-space."""
 
 
 @dataclass(frozen=True, eq=False)
 class Walls(Rows):
-    """Half-spaces normal . x >= offset for the points `at` (m,): unit normals (m, d), offset (m,) in mm; a point may
-    have several.
-
-    owner (m,): numbers that tell which obstacle each one belongs to.
+    """Half-spaces normal . x >= offset for the points `at` (m,): unit normals (m, d), offset (m,) in mm; owner (m,):
+    the number of the obstacle that each one belongs to.
     """
 
     at: Points
