@@ -17,7 +17,7 @@ from macro_fem.fem.assembly import SparsityPattern, gradient, internal_force, st
 from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import Discretization
 from rve.common import Array
-from rve.common.numeric.factor import Factorizer, Solve
+from rve.common.factor import Factorizer, Solve
 
 SHIFTS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9)
 """Relative additions to the diagonal that are tried in turn when a pivot is not positive."""

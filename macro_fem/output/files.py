@@ -21,7 +21,7 @@ from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.tables import Bar, LiveLoad
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, csv_text, json_text, meshes, versions, write_text
-from rve.common.numeric.factor import linear_solver
+from rve.common.factor import linear_solver
 
 if TYPE_CHECKING:
     from macro_fem.bounds.adapt import Level

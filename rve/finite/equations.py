@@ -13,7 +13,7 @@ import numpy as np
 from scipy import sparse
 
 from rve.common import Array, Flags, Index
-from rve.common.numeric.factor import Solve
+from rve.common.factor import Solve
 from rve.finite.task import BLOCK
 from rve.finite.touching import Touching
 from rve.finite.walls import wall_derivatives

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import shapely
 
 from rve.common import Array, Flags, Index, InputError
-from rve.common.numeric.polygons import inside, near_sides, region
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
 from rve.geometry.pose import start_pose
@@ -181,9 +181,11 @@ def _sites(cell: Cell, border: Array, holes: list[Array], sides: Array, axes: Ar
     i, j = (x.ravel() for x in np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1)))
     index = np.concatenate([np.column_stack([np.full(len(i), k), i, j]) for k in range(cell.weave.classes)])
     X = ((index[:, 1:] + reference_shares(cell)[index[:, 0]]) * sides) @ axes.T + origin
-    keep, near = inside(X, border, holes), 1e-4 * float(sides.min())
-    for polygon in (border, *holes):
-        keep |= near_sides(X, polygon, near)
+    region = shapely.Polygon(border, holes)
+    sides_of_region = region.boundary
+    shapely.prepare([region, sides_of_region])
+    near = shapely.dwithin(sides_of_region, shapely.points(X), 1e-4 * float(sides.min()))
+    keep = shapely.contains_xy(region, X) | near
     index, X = index[keep], X[keep]
     order = np.lexsort((X[:, 0], X[:, 1]))
     return index[order], X[order]
@@ -193,6 +195,8 @@ def _areas(X: Array, border: Array, holes: list[Array], brick: Array, axes: Arra
     """Reference area (n,) in mm2 of each ring; their sum is the area inside the outline."""
     t = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
     offsets = np.stack(np.meshgrid(t, t), axis=-1).reshape(-1, 2) * brick @ axes.T
-    part = sum(inside(X + offset, border, holes) / len(offsets) for offset in offsets)
+    region = shapely.Polygon(border, holes)
+    shapely.prepare(region)
+    part = sum(shapely.contains_xy(region, X + offset) / len(offsets) for offset in offsets)
     part = np.maximum(part, 1.0 / len(offsets))
-    return np.asarray(part * region(border, holes).area / part.sum())
+    return np.asarray(part * region.area / part.sum())

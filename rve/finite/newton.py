@@ -16,7 +16,7 @@ from scipy import sparse
 from scipy.optimize import nnls
 
 from rve.common import Array, Index
-from rve.common.numeric.factor import Factorizer, Solve
+from rve.common.factor import Factorizer, Solve
 from rve.finite.equations import METRIC, PAIR, Pattern, blocks, lacking, pair_vectors, spread, times
 from rve.finite.task import BLOCK, State, Task
 from rve.finite.touching import Touching, safe_parts

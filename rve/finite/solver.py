@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rve.common import Array, tell, way
-from rve.common.numeric.factor import Factorizer
+from rve.common.factor import Factorizer
 from rve.finite.equations import gradients, spread
 from rve.finite.newton import Iteration, Step
 from rve.finite.search import search

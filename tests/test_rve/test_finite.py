@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 
 from benchmarks.every_ring.cell import edge_loaded
 from rve import Cell, FiniteMesh, FiniteOptions, HalfSpace, InputError, cell_of_sides
-from rve.common.numeric.factor import Factorizer
+from rve.common.factor import Factorizer
 from rve.drawn import ALONG
 from rve.finite.equations import Pattern, blocks, gradients, lacking, pair_vectors, spread, times
 from rve.finite.newton import Factored, Iteration, forces_that_stop

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import shapely
 import skfem
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -24,7 +25,6 @@ from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.sites import Hanging
 from macro_fem.scene.tables import PatchLoad, Vector
 from rve.common import Array, InputError
-from rve.common.numeric.polygons import inside, near_sides, region
 
 MAX_TRIANGLES = 4_000_000
 """More cells than this are refused before their arrays are made: some four million unknowns, 20 GB in a solver."""
@@ -197,12 +197,14 @@ def mesh_outline(
     spacing = float(np.ptp(outline[:, 0])) / cells
     border = [_subdivided(polygon, spacing) for polygon in (outline, *holes)]
     inner = _lattice(outline, spacing, aspect, angle)
-    inner = inner[inside(inner, outline, holes)]
-    for polygon in (outline, *holes):
-        inner = inner[~near_sides(inner, polygon, CLEARANCE * spacing)]
+    region = shapely.Polygon(outline, holes)
+    sides = region.boundary
+    shapely.prepare([region, sides])
+    inner = inner[shapely.contains_xy(region, inner)]
+    inner = inner[~shapely.dwithin(sides, shapely.points(inner), CLEARANCE * spacing)]
     points = np.concatenate([*border, inner])
     triangles = Delaunay(points).simplices
-    triangles = triangles[inside(points[triangles].mean(axis=1), outline, holes)]
+    triangles = triangles[shapely.contains_xy(region, points[triangles].mean(axis=1))]
     triangles = counterclockwise(points, triangles)
     triangles = triangles[triangle_areas(points[triangles]) > 0.5e-6 * spacing**2]
     _check_border(triangles, [len(part) for part in border])
@@ -237,8 +239,6 @@ def _lattice(outline: Array, spacing: float, aspect: float, angle: float) -> Arr
 
 
 def _check_polygons(outline: Array, holes: list[Array]) -> None:
-    import shapely
-
     for number, polygon in enumerate((outline, *holes)):
         name = f"hole {number}" if number else "outline"
         if np.any(np.linalg.norm(polygon - np.roll(polygon, -1, axis=0), axis=1) == 0.0):
@@ -248,7 +248,7 @@ def _check_polygons(outline: Array, holes: list[Array]) -> None:
             raise ValueError(f"{name}: crosses itself")
         if abs(signed_areas(polygon)) <= flat:
             raise ValueError(f"{name}: has no area, its corners lie on a line")
-    whole, gaps = region(outline), [region(hole) for hole in holes]
+    whole, gaps = shapely.Polygon(outline), [shapely.Polygon(hole) for hole in holes]
     for k, gap in enumerate(gaps, start=1):
         if not whole.contains_properly(gap):
             raise ValueError(f"holes: hole {k} is not inside the outline")

@@ -1,1 +1,0 @@
-"""Factorised matrices, and points in polygons."""
