@@ -19,7 +19,7 @@ import signal
 import threading
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
@@ -34,20 +34,13 @@ from rve.common.texts import json_text
 
 _ANEW = "no file is left half-written, and the same command begins anew"
 """What a command says that is stopped and has nothing to go on from."""
+_FULL = (errno.ENOSPC, errno.EFBIG)
 LARGEST_LOAD = 1e100
 _OPTIONS = {
     "--quiet": "Show no progress and print no sentences; errors, and answers that are asked for, stay.",
     "--json": "Print the record of the run as one JSON object instead of sentences.",
     "--traceback": "Show where in the code an error arose.",
 }
-
-
-class CommandFailed(click.ClickException):
-    """What a command raised, as a sentence and an exit code."""
-
-    def __init__(self, sentence: str, code: int) -> None:
-        super().__init__(sentence)
-        self.exit_code = code  # type: ignore[misc]
 
 
 class Command(click.Command):
@@ -73,7 +66,9 @@ class Command(click.Command):
                 click.echo("".join(traceback.format_exception(error)), err=True, nl=False)
             code, sentence = ending(error)
             notes = getattr(error, "__notes__", [_ANEW] if isinstance(error, KeyboardInterrupt) else [])
-            raise CommandFailed("; ".join(" ".join(str(text).split()) for text in (sentence, *notes)), code) from error
+            failed = click.ClickException("; ".join(" ".join(str(text).split()) for text in (sentence, *notes)))
+            failed.exit_code = code  # type: ignore[misc]
+            raise failed from error
 
 
 class Group(click.Group):
@@ -91,16 +86,13 @@ class Group(click.Group):
 def _stops_raised() -> Iterator[None]:
     """What ends a process is raised in the block, so that it keeps what is finished: SIGTERM, and a closed terminal."""
     names = ("SIGTERM", "SIGHUP") if threading.current_thread() is threading.main_thread() else ()
-    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    known = [(number, signal.getsignal(number)) for number in numbers]
-    known = [(number, before) for number, before in known if before != signal.SIG_IGN]  # nohup ignores SIGHUP
-    for number, _ in known:
-        signal.signal(number, _stop)
-    try:
+    with ExitStack() as stack:
+        for number in (getattr(signal, name) for name in names if hasattr(signal, name)):
+            before = signal.getsignal(number)
+            if before != signal.SIG_IGN:  # nohup ignores SIGHUP
+                stack.callback(signal.signal, number, before)
+                signal.signal(number, _stop)
         yield
-    finally:
-        for number, before in known:
-            signal.signal(number, before)
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
@@ -119,16 +111,16 @@ def _asked(name: str) -> bool:
 
 def ending(error: BaseException) -> tuple[int, str]:
     """Exit code and sentence for what a command raised."""
-    if isinstance(error, InputError | NotConverged):
-        return 2 if isinstance(error, InputError) else 1, str(error)
+    if isinstance(error, InputError):
+        return 2, str(error)
+    if isinstance(error, NotConverged):
+        return 1, str(error)
     if isinstance(error, KeyboardInterrupt):
         number = signal.Signals(error.args[0] if error.args else signal.SIGINT)
         return 128 + number, f"stopped by {number.name}"
     if isinstance(error, OSError) and error.strerror:
         where = "" if error.filename is None else f"{error.filename}: "
-        remedy = (
-            "make room on the disk, or write to another one; " if error.errno in (errno.ENOSPC, errno.EFBIG) else ""
-        )
+        remedy = "make room on the disk, or write to another one; " if error.errno in _FULL else ""
         return 1, f"{where}{error.strerror}; {remedy}files that were there before are unchanged"
     if isinstance(error, MemoryError):
         return 1, "there is not enough memory for this; ask for fewer cells, rings, rows or workers"
@@ -137,10 +129,7 @@ def ending(error: BaseException) -> tuple[int, str]:
 
 
 def say(*lines: str, err: bool = False) -> None:
-    """Prints what a command has done, unless --quiet or --json asks for none of it.
-
-    With `err` on standard error, which --json leaves as it is.
-    """
+    """Prints what a command has done, unless --quiet, or without `err` (on standard error) --json, asks for none."""
     if lines and not _asked("--quiet") and (err or not _asked("--json")):
         _print("\n".join(lines), err=err)
 

@@ -37,8 +37,6 @@ RETRIES = 3
 """How often an item is begun again whose worker was lost."""
 CONNECT_S = 10.0
 
-Columns = Callable[[dict[str, Any]], dict[str, Any]]
-
 
 @dataclass(frozen=True)
 class SweepItem:
@@ -205,7 +203,7 @@ sweep_options = options(
 
 
 def run_sweep(
-    items: Sequence[SweepItem], out: Path, columns: Columns, *, jobs: int, cluster: str | None
+    items: Sequence[SweepItem], out: Path, columns: Callable[[Any], dict[str, Any]], *, jobs: int, cluster: str | None
 ) -> list[dict[str, Any]]:
     """Runs a sweep, writes sweep.csv, says how it ended and returns its rows; exit code 1 if an item failed.
 
