@@ -17,8 +17,7 @@ from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.stored import StoredLaw
 from homogenize.query.strain import locked_strain
 from rve.common import Array, job, json_text, tell, write_text
-from rve.common.drawing.plane import new_axes, new_figure, save_figure, shade
-from rve.common.drawing.scale import Scale, rounded_up
+from rve.common.drawing.plane import Scale, new_axes, new_figure, rounded_up, save_figure, shade
 from rve.common.tensor import trace
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ from .directions import graded_grid as graded_grid
 from .directions import grid as grid
 from .directions import read_loads as read_loads
 from .drawn import DrawnRings as DrawnRings
+from .drawn import solidity as solidity
 from .equilibrium.interior_point import DirectOptions as DirectOptions
 from .finite.layout import FiniteMesh as FiniteMesh
 from .finite.layout import cell_of_sides as cell_of_sides
@@ -33,7 +34,6 @@ from .more_columns import RingOptions as RingOptions
 from .more_columns import with_rings as with_rings
 from .ring.pull import PulledRing as PulledRing
 from .ring.pull import pulled_ring as pulled_ring
-from .shadow import solidity as solidity
 from .solve import solve_table as solve_table
 from .strained.forces import CellForces as CellForces
 from .strained.forces import cell_forces as cell_forces

@@ -37,7 +37,7 @@ from macro_fem.scene.schema import load_scene
 from macro_fem.scene.supports import build_supports
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError, NotConverged, check_out_job, job, json_text, versions, write_text
-from rve.common.drawing.scale import Scale
+from rve.common.drawing.plane import Scale
 from rve.common.drawing.space import THREE_QUARTERS, add, check_render, look, new_plotter, save_picture, surface
 from rve.common.meshes import write_mesh_file
 

@@ -19,7 +19,7 @@ from rve.common import Array, InputError, check_out_file, require
 from rve.common.drawing import space
 from rve.common.drawing.page import check_page, write_page
 from rve.common.drawing.plane import new_axes, new_figure, save_figure
-from rve.common.drawing.scale import Scale
+from rve.common.drawing.plane import Scale
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -20,7 +20,7 @@ from macro_fem.scene.tables import in_3d
 from macro_fem.solution import CurtainSolution
 from rve.common import Array
 from rve.common.drawing import space
-from rve.common.drawing.scale import Scale, rounded_up
+from rve.common.drawing.plane import Scale, rounded_up
 
 if TYPE_CHECKING:
     from pyvista import Plotter, PolyData

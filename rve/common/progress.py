@@ -24,10 +24,9 @@ MOST = 0.999
 
 
 def tell(work: str, share: float | None = None) -> None:
-    """Tells a listener, if there is one, what is being done and which share of it is done, 0 to 1 or unknown.
+    """Tell a listener, if there is one, what is being done and which share of it is done, 0 to 1 or unknown.
 
-    Work that goes on keeps its words up to the first comma: the clock starts anew where they change. "": nothing is
-    being done now, and what was shown is wiped.
+    The clock starts anew where the words up to the first comma change. "" wipes what was shown.
     """
     listener = _listener.get()
     if listener is not None:
@@ -70,7 +69,7 @@ def part_of(work: str, begin: float | None = None, end: float | None = None) -> 
 
 
 def way(first: float, now: float, last: float) -> float | None:
-    """How far a number has fallen from `first` to `last`, 0 to 1 on a scale of its logarithm; None if that is unknown.
+    """Share of the fall from `first` to `last` by logarithm, 0 to 1; None if it is unknown.
 
     >>> way(1.0, 1e-3, 1e-6)
     0.5
@@ -82,20 +81,10 @@ def way(first: float, now: float, last: float) -> float | None:
 
 @contextmanager
 def shown() -> Iterator[None]:
-    """What is told in the block is shown live on standard error, and wiped at its end; nothing if that is no terminal.
-
-    rich comes with meshio.
-    """
-    with heard_by(_line() if sys.stderr.isatty() else None):
-        tell("starting")  # a command may import for a second before it does anything
-        try:
-            yield
-        finally:
-            tell("")
-
-
-def _line() -> Listener:
-    """The line of a terminal on which work is shown, from the first word of it until "", which wipes it."""
+    """What is told in the block is shown on a line of a terminal, standard error, and wiped at its end."""
+    if not sys.stderr.isatty():
+        yield
+        return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.table import Column
@@ -116,4 +105,9 @@ def _line() -> Listener:
         bar.update(task, description=work, total=total, completed=done)
         bar.start()
 
-    return show
+    with heard_by(show):
+        tell("starting")  # a command may import for a second before it does anything
+        try:
+            yield
+        finally:
+            tell("")

@@ -8,7 +8,7 @@ import numpy as np
 
 from rve.common import Array, InputError
 from rve.common.materials import STEEL, Material
-from rve.common.rings import Joint, read_joint
+from rve.common.rings import Joint
 from rve.ring.collapse import plastic_collapse
 from rve.ring.kernels import flexibility
 from rve.ring.section import Ring
@@ -42,7 +42,7 @@ def pulled_ring(r1: float, r2: float, material: Material = STEEL, joint: str = "
     if stress is None:
         raise InputError(f"{material.name} has no yield stress: give one in N/mm2")
     ring = Ring(r1, r2, material.young_N_per_mm2, material.poisson)
-    angles = Joint.of(read_joint({"joint": joint})).angles_deg
+    angles = Joint.of(joint).angles_deg
     phi, pull = np.array([[0.0, np.pi]]), np.tile([1.0, 0.0, 0.0], (1, 2, 1))
     at: list[Array | None] = [np.radians([angle]) for angle in angles] or [None]
     peaks = np.array([peak_stress(phi, pull, ring, joint=x).stress[0] for x in at])

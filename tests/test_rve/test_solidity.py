@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import rve
+from rve.drawn import shadow
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.pose import Pose
-from rve.shadow import shadow
 from rve.solve import reference_pose
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from rve.common.drawing import space
 from rve.common.drawing.page import write_page
-from rve.common.drawing.scale import Scale
+from rve.common.drawing.plane import Scale
 from rve.common.drawing.space import FRONT, THREE_QUARTERS, add, arrows, lines, look, new_plotter, save_picture
 
 HEIGHT = Scale("height, mm", 0.0, 30.0, 40.0)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rve.common.drawing.scale import OVER, Scale
+from rve.common.drawing.plane import OVER, Scale
 from rve.common.drawing.space import parts
 from rve.common.errors import require
 from rve.common.files import AnyPath, write_text
@@ -43,10 +43,7 @@ def check_page(purpose: str = "a page", instead: str = "ask for none") -> None:
 
 def write_page(path: AnyPath, plotter: Plotter, title: str) -> None:
     """Write what a plotter shows beneath a title as one HTML file, atomically; InputError if plotly is missing."""
-    figure = _new_figure(path)
-    for trace in _traces(plotter):
-        figure.add_trace(trace)
-    _write(path, figure, title, _scene(plotter))
+    write_moments(path, [("", plotter)], title)
 
 
 def write_moments(path: AnyPath, moments: Iterable[tuple[str, Plotter]], title: str) -> None:
@@ -54,11 +51,14 @@ def write_moments(path: AnyPath, moments: Iterable[tuple[str, Plotter]], title: 
 
     The plotter may be the same one, drawn anew for each moment. InputError if plotly is missing.
     """
-    figure, words, bounds = _new_figure(path), [], []
+    check_page(str(path))
+    import plotly.graph_objects as go
+
+    figure, words, bounds = go.Figure(layout=LAYOUT), [], []
     owner: list[int] = []  # moment of each trace
     scene: dict[str, Any] = {}
     for number, (word, plotter) in enumerate(moments):
-        tell(f"writing {Path(path).name}, {word}")
+        tell(f"writing {Path(path).name}{f', {word}' if word else ''}")
         for trace in _traces(plotter):
             figure.add_trace(trace | {"visible": not number})
             owner.append(number)
@@ -67,33 +67,21 @@ def write_moments(path: AnyPath, moments: Iterable[tuple[str, Plotter]], title: 
         scene = scene or _scene(plotter)
     low, high = np.min(bounds, axis=0)[:, 0], np.max(bounds, axis=0)[:, 1]
     room = 0.02 * float((high - low).max())  # plotly cuts off what lies on the end of an axis, as a ground does
-    low, high = low - room, high + room
     for own, k in zip("xyz", AXES, strict=True):
-        scene[f"{own}axis"]["range"] = [low[k], high[k]]
+        scene[f"{own}axis"]["range"] = [low[k] - room, high[k] + room]
     steps = [
         {"label": word, "method": "restyle", "args": [{"visible": [number == one for one in owner]}]}
         for number, word in enumerate(words)
     ]
-    figure.update_layout(sliders=[{"steps": steps, "pad": {"l": 20, "r": 20, "b": 10}}])
-    _write(path, figure, title, scene)
-
-
-def _new_figure(path: AnyPath) -> Any:
-    check_page(str(path))
-    tell(f"writing {Path(path).name}")
-    import plotly.graph_objects as go
-
-    return go.Figure(layout=LAYOUT)
-
-
-def _write(path: AnyPath, figure: Any, title: str, scene: dict[str, Any]) -> None:
+    if len(steps) > 1:
+        figure.update_layout(sliders=[{"steps": steps, "pad": {"l": 20, "r": 20, "b": 10}}])
     place = {"x": 0.01, "y": 1.0, "xref": "paper", "yref": "paper", "xanchor": "left", "yanchor": "bottom"}
-    shown = escape(title, quote=False).replace("\n", "<br>")
-    figure.add_annotation(text=shown, align="left", showarrow=False, font_size=16, **place)
+    shown = escape(title, quote=False)
+    figure.add_annotation(text=shown.replace("\n", "<br>"), align="left", showarrow=False, font_size=16, **place)
     figure.update_layout(scene=scene | {"domain": {"x": [0.0, RIGHT]}}, legend=LEGEND)
     settings = {"displaylogo": False, "responsive": True, "scrollZoom": True}
     text = figure.to_html(config=settings, include_plotlyjs=True, full_html=True, default_height="100vh")
-    name = escape(title, quote=False).replace("\n", " ")
+    name = shown.replace("\n", " ")
     write_text(path, text.replace("<head>", f"<head><title>{name}</title><style>body{{margin:0}}</style>", 1))
 
 

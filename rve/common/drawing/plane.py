@@ -1,20 +1,29 @@
-"""Plane pictures by matplotlib: figures outside pyplot, without a window or global state."""
+"""Figures of matplotlib, outside pyplot, without a window or global state; scales of colours for all pictures."""
 
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from rve.common.errors import InputError, require
 from rve.common.files import atomic_path
+from rve.common.records import Array
 
 if TYPE_CHECKING:
-    from matplotlib.colors import ListedColormap
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap, ListedColormap, Normalize
     from matplotlib.figure import Figure
 
 BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009e73"
 """Colours that colour-blind readers tell apart (Okabe and Ito)."""
+OVER = "#d6004d"
+"""The colour of values above the scale."""
+TOP_SHARE = 0.995
+"""The scale of colours ends where this share of the values lies below."""
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -50,3 +59,74 @@ def save_figure(path: str | os.PathLike[str], figure: Any, dpi: float = 150) -> 
             figure.savefig(temporary, dpi=dpi, format=Path(path).suffix[1:] or "png", bbox_inches="tight")
     except ValueError as error:
         raise InputError(f"{path}: {str(error).splitlines()[0]}") from error
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Colours of values from `low` to `top`; `largest` may be above `top`.
+
+    spread: "even", "root" (colours change with the square root, so that small values are told apart) or "log".
+    """
+
+    label: str
+    low: float
+    top: float
+    largest: float
+    spread: str = "even"
+
+    @classmethod
+    def of(cls, values: Array, label: str) -> Scale:
+        """From 0 to a round number that `TOP_SHARE` of the values do not exceed.
+
+        >>> scale = Scale.of(np.append(np.linspace(0.0, 0.9, 999), 7.0), "line load, N/mm")
+        >>> scale.top, scale.largest, scale.is_exceeded, scale.title
+        (0.9, 7.0, True, 'line load, N/mm; arrow: up to 7')
+        """
+        largest = float(np.max(values, initial=0.0))
+        bulk = float(np.quantile(values, TOP_SHARE)) if len(values) else 0.0
+        return cls(label, 0.0, rounded_up(bulk if bulk > 0.0 else largest), largest, "root")
+
+    @property
+    def is_exceeded(self) -> bool:
+        """Whether some values are above the scale."""
+        return self.largest > self.top * (1.0 + 1e-9)
+
+    @property
+    def title(self) -> str:
+        """The label, and the largest value if it is above the scale."""
+        return self.label + (f"; arrow: up to {self.largest:.3g}" if self.is_exceeded else "")
+
+    def colour_map(self) -> Colormap:
+        """The colours for matplotlib and pyvista."""
+        import matplotlib
+        from matplotlib.colors import ListedColormap
+
+        share = np.linspace(0.0, 1.0, 1024) ** (0.5 if self.spread == "root" else 1.0)
+        return ListedColormap(matplotlib.colormaps["viridis"](share)).with_extremes(over=OVER)
+
+    def norm(self) -> Normalize:
+        """The range for matplotlib."""
+        from matplotlib.colors import LogNorm, Normalize
+
+        return (LogNorm if self.spread == "log" else Normalize)(self.low, self.top)
+
+    def add_bar(self, ax: Axes, **style: Any) -> None:
+        """A bar of the colours beside `ax`."""
+        from matplotlib.cm import ScalarMappable
+
+        extend = ("neither", "min", "max", "both")[(self.spread == "log") + 2 * self.is_exceeded]
+        assert ax.figure is not None
+        bar = ax.figure.colorbar(ScalarMappable(self.norm(), self.colour_map()), ax=ax, extend=extend, **style)
+        bar.set_label(self.title)
+
+
+def rounded_up(value: float) -> float:
+    """The smallest number with one digit, or one and a half, that is not below `value`; 1 for 0.
+
+    >>> rounded_up(0.0234), rounded_up(1200.0), rounded_up(0.0)
+    (0.025, 1500.0, 1.0)
+    """
+    if not value > 0.0:
+        return 1.0
+    unit = 0.5 * 10.0 ** np.floor(np.log10(value))
+    return float(f"{unit * np.ceil(value / unit * (1.0 - 1e-9)):.6g}")

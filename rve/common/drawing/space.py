@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rve.common.drawing.scale import OVER, Scale
+from rve.common.drawing.plane import OVER, Scale
 from rve.common.errors import InputError, require
 from rve.common.files import atomic_path
 from rve.common.progress import tell
