@@ -53,10 +53,11 @@ def axes_and_grain() -> Any:
     """Rings that are locked by a pull along the grain, from the front and from the side."""
     states = rve.solve_table(rve.Cell(r1=5.0, r2=0.5), ([0.0], [90.0])).states
     fig, (front, side) = bare(7.2, 4.4, 2, width_ratios=[3, 1.3], sharey=True)
+    sides = 5.0 * np.stack([states.pose.a1[0], states.pose.a2[0]])
     for i in range(4):
         for j in range(3):
             for k in range(2):
-                x, y, z = drawn_rings(states, k, np.array([[i, j]])).closed_circles(96)[0].T
+                x, y, z = (drawn_rings(states, k).closed_circles(96)[0] + [*([i, j] @ sides), 0.0]).T
                 front.plot(x, y, color=CLASS_COLOURS[k], lw=2.2)
                 if i == 0:
                     side.plot(z, y, color=CLASS_COLOURS[k], lw=2.2)

@@ -23,17 +23,15 @@ from rve.common.commands.command_line import (
     say_next,
 )
 from rve.common.commands.sweeps import run_sweep, sweep_options
+from rve.common.materials import MATERIALS, material_of
+from rve.common.rings import Joint, check_ring_size
 
 METHODS = ("direct", "stewart-trinkle")
 FIT_FROM = 10
 """Rows from which a law is offered."""
 
 WEAVE_NAMES = ("4-in-1", "6-in-1")
-MATERIAL_NAMES = (
-    *("steel", "steel 1.4301", "steel 1.4404", "titanium grade 2", "titanium grade 5", "spring wire 1.4310"),
-    *("aluminium EN AW-5019", "aluminium EN AW-5356", "brass CuZn37", "copper"),
-)
-"""The names in `rve.geometry.weave.WEAVES` and `rve.common.materials.MATERIALS`, not imported to print a help text."""
+"""The names in `rve.geometry.weave.WEAVES`, which NumPy need not be imported for."""
 
 FILE = click.Path(dir_okay=False, path_type=Path)
 
@@ -48,7 +46,7 @@ grain_option = _choice("--grain", "y", "x", text="Axis along which rings interla
 cell_options = options(
     click.option("--r1", type=float, default=5.0, show_default=True, help="Radius of a ring's centre circle in mm."),
     click.option("--r2", type=float, default=0.5, show_default=True, help="Radius of the wire in mm."),
-    click.option("--material", help=f"Named material: {', '.join(MATERIAL_NAMES)}.  [default: steel]"),
+    click.option("--material", help=f"Named material: {', '.join(MATERIALS)}.  [default: steel]"),
     click.option("--density", type=float, help="Density of the rings in kg/m3; by default the material's."),
     click.option("--young", type=float, help="Young's modulus in N/mm2; by default the material's."),
     click.option("--poisson", type=float, help="Poisson's ratio, without unit; by default the material's."),
@@ -73,8 +71,6 @@ def asked_cell(
     r1: float, r2: float, grain: str, weave: str, cells: str = "1x1", centres: str = "plane", **material: Any
 ) -> Any:
     """The cell asked for; InputError for rings that no mesh has."""
-    from rve.common.materials import material_of
-    from rve.common.rings import check_ring_size
     from rve.geometry.cell import Cell
     from rve.geometry.weave import WEAVES
 
@@ -136,7 +132,6 @@ def table(
     out: Path, method: str, rings: bool, joint: str | None, explain: bool, branches: Any, reference: Any, **rest: Any
 ) -> None:
     """Write the strain-load table of a grid or a list of load directions."""
-    from rve.common.rings import Joint
     from rve.equilibrium.interior_point import DirectOptions
     from rve.more_columns import RingOptions, with_rings
     from rve.paper.stewart_trinkle import solve_table_stewart_trinkle

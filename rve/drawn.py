@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rve.common import Array
-from rve.common.drawing.plane import Scale, new_axes, rounded_up
-from rve.common.drawing.space import BODY, THREE_QUARTERS, add, add_body, ball, lines, look, new_plotter, surface
+from rve.common.drawing.plane import GREEN, Scale, new_axes, rounded_up
+from rve.common.drawing.space import BODY, BODY_OPACITY, THREE_QUARTERS, add, ball, lines, look, new_plotter, surface
 from rve.common.meshes import write_mesh_file
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
@@ -35,7 +35,7 @@ MOST_DRAWN = 2_500_000
 """Points of all tori of a picture together; many rings have coarser ones."""
 CLOSE = 8.0
 """Radius of the close-up, in r1."""
-WINDOW, NO_FORCE = "#009e73", "#808890"
+NO_FORCE = "#808890"
 SHADOW_POINTS = 720
 """Points on every centre circle. The shadow of a ring is short by less than r1 (2 pi / 720)^2 / 8 at each side."""
 SIGHT_LINES = 100_000
@@ -126,7 +126,7 @@ class DrawnRings:
             scale.add_bar(ax, shrink=0.75, pad=0.02)
         ax.add_collection(drawn)
         for _, centre, radius in self.balls:
-            ax.add_patch(Circle((centre[0], centre[1]), radius, color=BODY, alpha=0.75))
+            ax.add_patch(Circle((centre[0], centre[1]), radius, color=BODY, alpha=BODY_OPACITY))
         ax.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", title=f"{len(self.centre)} rings")
         ax.autoscale_view()
         return ax
@@ -151,7 +151,7 @@ class DrawnRings:
                 mesh[name] = np.repeat(numbers, points + 1)
             add(plotter, "rings", mesh, colours, line_width=2)
         for name, centre, radius in self.balls:
-            add_body(plotter, name, ball(radius, centre), smooth_shading=True)
+            add(plotter, name, ball(radius, centre), BODY, opacity=BODY_OPACITY)
         box = None
         if series:
             places = np.concatenate([one.centre for one in series])
@@ -172,7 +172,7 @@ class DrawnRings:
         along, around = (24, 6) if len(centre) < 6000 else (int(np.clip(MOST_DRAWN // (3 * len(centre)), 8, 14)), 3)
         add(plotter, "all rings", replace(self, r2=thick).tori(along, around, **{scale.label: force}), scale)
         window = replace(self, centre=middle[None], normal=sheet_normal[None], r1=half, force=None)
-        add(plotter, "close-up at the largest line load", lines(window.closed_circles(ALONG)), WINDOW, line_width=6)
+        add(plotter, "close-up at the largest line load", lines(window.closed_circles(ALONG)), GREEN, line_width=6)
         is_plane = np.abs(centre[:, 2]).max() <= 1e-9 * np.abs(centre).max()
         look(plotter, (0.0, 0.0, -1.0) if is_plane else THREE_QUARTERS)
         plotter.subplot(0, 1)

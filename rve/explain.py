@@ -16,11 +16,9 @@ SYMMETRIC = 1e-7
 def solver_work(states: LockedStates, cell: Cell) -> dict[str, Any]:
     """Counts of the direct solver for the locked states of a cell.
 
-    cases; symmetric: how many locked states are symmetric; retried: cases that took more than one attempt in all
-    coordinates; limits: cases replaced by the limit from inside the tensile cone; listed: pairs of rings in the
-    equations; least_near, most_near: how many pairs of the weave are near enough to touch in a locked state;
-    unlisted_gap: least gap of pairs that the weave does not list, in r1; widened: whether such pairs overlapped and all
-    pairs were listed.
+    cases; symmetric ones; retried: those that took more than one attempt in all coordinates; limits: those replaced by
+    the limit from inside the tensile cone; listed: pairs of rings in the equations, of which least_near to most_near
+    are near enough to touch; unlisted_gap: least gap of other pairs in r1; widened: whether such pairs overlapped.
     """
     weave, pose, good = cell.weave, states.pose, states.found.status == "converged"
     symmetry, near = symmetry_of(weave), pairs_in_reach(pose, weave, cell.wire, states.reach)

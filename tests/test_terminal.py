@@ -173,7 +173,6 @@ def test_choices_are_those_of_the_packages():
     from homogenize import FitOptions
 
     assert tuple(WEAVES) == rve.cli.WEAVE_NAMES
-    assert tuple(rve.MATERIALS) == rve.cli.MATERIAL_NAMES
     assert set(get_args(types_of(FitOptions)["kind"])) == set(homogenize.cli.KINDS)
     weave = next(one for one in macro_fem.cli.main.commands["run"].params if one.name == "weave")
     assert tuple(weave.type.choices) == tuple(WEAVES)

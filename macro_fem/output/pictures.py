@@ -18,8 +18,7 @@ from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError, check_out_file, require
 from rve.common.drawing import space
 from rve.common.drawing.page import check_page, write_page
-from rve.common.drawing.plane import new_axes, new_figure, save_figure
-from rve.common.drawing.plane import Scale
+from rve.common.drawing.plane import Scale, new_axes, new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -101,8 +101,11 @@ def draw_curtain(
     for one in placed:
         mesh, item = obstacle_mesh(one, frame, ground), one.obstacle
         if mesh is not None:
-            style = {"opacity": 0.35} if isinstance(item, Wall) else {}
-            space.add_body(plotter, item.name, mesh, smooth_shading=isinstance(item, Sphere | Cylinder), **style)
+            opacity, is_round = (
+                0.35 if isinstance(item, Wall) else space.BODY_OPACITY,
+                isinstance(item, Sphere | Cylinder),
+            )
+            space.add(plotter, item.name, mesh, space.BODY, opacity=opacity, smooth_shading=is_round)
     for (name, colour, forces), largest in zip(FORCES, frame.largest, strict=True):
         at, force = forces(solution)
         shown = space.arrows(at, frame.arrow * force, LEAST_ARROW * LONGEST * frame.size)

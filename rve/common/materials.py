@@ -1,9 +1,9 @@
-"""Materials of rings: density, elastic constants and strength once, with units, and a short table of named ones.
+"""Materials of rings: density, elastic constants and strength.
 
 Strengths are the least values of the standards for hot-rolled or annealed products. Drawn wire may be two or three
 times as strong, and the weld of a ring weaker than its wire: take the values of the certificate of the wire at hand.
-Elastic constants are the nominal values of the standards; measured ones differ by some 3 % (titanium: 102 to 110
-kN/mm2, Poisson's ratio 0.32 to 0.37, in data sheets).
+Elastic constants are nominal; data sheets differ by some 3 % (titanium: 102 to 110 kN/mm2, Poisson's ratio 0.32 to
+0.37).
 """
 
 from __future__ import annotations
@@ -26,10 +26,8 @@ Stress = Annotated[float, Meta(gt=0.0, le=2e4)]
 
 @dataclass(frozen=True)
 class Material(Typed):
-    """A material: name, density in kg/mm3, Young's modulus, yield and ultimate stress in N/mm2, Poisson's ratio.
-
-    Yield and ultimate stress may be unknown, None. `check_material` finds numbers that no material has.
-    """
+    """A material: name, density in kg/mm3, Young's modulus, Poisson's ratio, yield and ultimate stress in N/mm2, which
+    may be unknown, None. InputError for numbers that no material has."""
 
     name: str = "steel"
     density_kg_per_mm3: Density = STEEL_KG_PER_MM3
@@ -110,9 +108,9 @@ def material_of(given: Mapping[str, Any], where: str = "", prefix: str = "", bas
     if "material" in asked:
         base = named_material(asked.pop("material"), f"{where} {prefix}material".strip())
     values: dict[str, Any] = {}
-    for key, value in asked.items():
+    for key in asked:
         name, kind = _KEYS[key]
-        values[name] = read_entry({prefix + key: value}, prefix + key, kind, where)
+        values[name] = read_entry({prefix + key: asked[key]}, prefix + key, kind, where)
     if "density_kg_per_mm3" in values:
         values["density_kg_per_mm3"] /= 1e9
     low = values.get("yield_N_per_mm2", base.yield_N_per_mm2)

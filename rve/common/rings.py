@@ -49,8 +49,8 @@ def check_ring_size(r1: float, option: str) -> None:
 def check_rings(table: Mapping[str, Any], where: object) -> dict[str, float]:
     """The numbers of `RING_TYPES` that `table` holds, by name; `where` names file and table.
 
-    InputError for a number out of its range, wire as thick as its ring, or a side of the reference cell that such rings
-    cannot have: less than the radius of the wire, or more than four rings side by side.
+    InputError for a number out of its range, wire as thick as its ring, or a side of the reference cell that is less
+    than the radius of the wire or more than four rings side by side.
 
     >>> check_rings({"r1_mm": 5, "r2_mm": 0.5, "weave": "4-in-1"}, "law.json: cell")
     {'r1_mm': 5.0, 'r2_mm': 0.5}
@@ -85,7 +85,7 @@ def areal_mass(r1_mm: float, r2_mm: float, area_mm2: float, density_kg_per_mm3: 
 
 @dataclass(frozen=True)
 class Joint:
-    """How the wire of a ring is closed: `name` as files have it, and where it may be open.
+    """How the wire of a ring is closed.
 
     name: "welded", "butted:worst" or "butted:ANGLE". angles_deg: angles at which a butted ring may be open, in degrees
     around the ring from the grain, counterclockwise as seen from the front; () for a welded ring.
@@ -98,8 +98,7 @@ class Joint:
     def of(value: Any, where: str = "joint") -> Joint:
         """The joint of a name; "butted" is "butted:worst". InputError, which begins with `where`, for other names.
 
-        A stated angle stands for its mirror image as well: a ring may be woven with either side to the front, and the
-        mirror image of a mesh has its joints there.
+        A stated angle stands for its mirror image as well: a ring may be woven with either side to the front.
 
         >>> Joint.of("butted:30").angles_deg
         (30.0, -30.0)
@@ -122,8 +121,8 @@ class Joint:
 
 
 WORST_STEP_DEG = 10
-"""Step of the angles at which a joint is tried for the worst one. Free ends carry no load, so that the stress is the
-same for all joints between two neighbouring contacts; only one between contacts nearer than the step is left out."""
+"""Step of the angles at which a joint is tried for the worst one: the stress is the same for all joints between two
+neighbouring contacts, so that only one between contacts nearer than the step is left out."""
 
 
 def read_joint(table: Mapping[str, Any], where: str = "") -> str:

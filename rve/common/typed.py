@@ -1,7 +1,6 @@
-"""Records whose fields are checked by their types, in Python and from files; a refusal is one sentence.
+"""Records whose fields msgspec checks by their types, in Python and from files; a refusal is one sentence.
 
-A type is a Python type with a range, `Annotated[float, Meta(gt=0.0, le=1e6)]`; msgspec checks it. Both ends of a range
-keep out NaN and infinite numbers.
+A type may have a range, `Annotated[float, Meta(gt=0.0, le=1e6)]`; one with two ends keeps out NaN and infinite numbers.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from functools import cache
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
-import numpy as np
 
 from rve.common.errors import InputError, shown
 
@@ -110,10 +108,11 @@ def read_entry(table: Mapping[str, Any], key: str, kind: Any, where: str = "") -
     >>> read_entry({"r1_mm": 5}, "r1_mm", float, "law.json: cell")
     5.0
     """
+    named = f"{where} {key}".lstrip()
     if key not in table:
-        raise InputError(f"{where} {key}: is missing".lstrip())
+        raise InputError(f"{named}: is missing")
     try:
-        return typed(table[key], kind, f"{where} {key}".lstrip())
+        return typed(table[key], kind, named)
     except ValueError as error:
         raise InputError(str(error)) from None
 
@@ -130,14 +129,13 @@ def refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str, w
 
 def _plain(value: Any) -> Any:
     """Lists and numbers of Python in place of those of numpy."""
-    if isinstance(value, np.ndarray | np.generic):
+    if hasattr(value, "tolist"):
         return value.tolist()
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _meant(word: str, known: Iterable[str]) -> str:
-    near = difflib.get_close_matches(word, known, 1)
-    return f"did you mean {near[0]}? " if near else ""
+    return "".join(f"did you mean {near}? " for near in difflib.get_close_matches(word, known, 1))
 
 
 def _words(what: str, value: Any, kind: Any) -> str:

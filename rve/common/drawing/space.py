@@ -32,8 +32,8 @@ FRONT, THREE_QUARTERS = (0.0, -0.12, -1.0), (-0.75, -0.45, -1.0)
 FRAME_MS, LAST_MS = 120, 1500
 """How long a frame of an animation is shown, and its last one."""
 MARGIN = 1.04
-BODY = "#c9b18f"
-"""Colour of bodies that a mesh meets."""
+BODY, BODY_OPACITY = "#c9b18f", 0.75
+"""Colour of bodies that a mesh meets, and how much they hide."""
 MATT: dict[str, Any] = {"ambient": 0.4, "diffuse": 0.7, "specular": 0.1, "smooth_shading": True}
 FLAT: dict[str, Any] = {"lighting": False, "ambient": 0.0, "diffuse": 1.0, "specular": 0.0}
 
@@ -98,11 +98,6 @@ def lines(points: Array) -> PolyData:
     n, k = points.shape[:2]
     cells = np.column_stack([np.full(n, k), np.arange(n * k).reshape(n, k)])
     return pyvista.PolyData(points.reshape(-1, 3), lines=cells.ravel())
-
-
-def add_body(plotter: Plotter, name: str, mesh: PolyData, **style: Any) -> None:
-    """Add a body that a mesh meets."""
-    add(plotter, name, mesh, BODY, **{"opacity": 0.75} | style)
 
 
 def ball(radius: float, centre: Array) -> PolyData:
