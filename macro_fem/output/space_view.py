@@ -101,10 +101,8 @@ def draw_curtain(
     for one in placed:
         mesh, item = obstacle_mesh(one, frame, ground), one.obstacle
         if mesh is not None:
-            opacity, is_round = (
-                0.35 if isinstance(item, Wall) else space.BODY_OPACITY,
-                isinstance(item, Sphere | Cylinder),
-            )
+            opacity = 0.35 if isinstance(item, Wall) else space.BODY_OPACITY
+            is_round = isinstance(item, Sphere | Cylinder)
             space.add(plotter, item.name, mesh, space.BODY, opacity=opacity, smooth_shading=is_round)
     for (name, colour, forces), largest in zip(FORCES, frame.largest, strict=True):
         at, force = forces(solution)
