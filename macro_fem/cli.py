@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from rve.common import InputError, json_text, read_json_object
+from rve.common import InputError, check_out_file, check_out_job, json_text, read_json_object, require, write_text
 from rve.common.commands.command_line import Group, answer, no_picture, options, say, say_next
 from rve.common.commands.sweeps import SweepItem, absolute, run_sweep, sweep_options
 
@@ -125,8 +125,6 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
     from macro_fem.demand.options import ring_options
     from macro_fem.scene.schema import load_scene
     from macro_fem.size import largest_that_holds
-    from rve.common.errors import require
-    from rve.common.files import check_out_job
 
     if out is not None:
         check_out_job(out, "size.json", inputs=[scene, law_path])
@@ -256,7 +254,6 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: str, out: Pa
     from macro_fem.job import compare as solve_both
     from macro_fem.scene.schema import load_scene
     from macro_fem.told import default_law_lines, side_by_side
-    from rve.common.files import check_out_file, write_text
 
     if out is not None:
         check_out_file(out, inputs=[scene, law_path])

@@ -29,12 +29,9 @@ def combined(scene: Scene, combination: Combination, cell: CellInfo | None) -> S
 
 
 def envelope(found: Sequence[tuple[Combination, Mapping[str, Any]]]) -> dict[str, Any]:
-    """What summary.json says of combinations and their summaries.
-
-    `combinations` has each one's factors, status and what gives first; `envelope` the one that governs, with the least
-    factor (the largest force of a single point where the strength of the rings is not known), and for each held point
-    the largest force of all and the combination that asks for it.
-    """
+    """What summary.json says of combinations, from their summaries: factors, status and what gives first of each; which
+    one governs, by the least factor (by the largest force of a single point where the strength of the rings is not
+    known); for each held point the largest force of all and the combination that asks for it."""
     rows: list[dict[str, Any]] = [
         {
             "name": combination.name,

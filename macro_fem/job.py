@@ -126,10 +126,7 @@ def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
 
 
 def _steps(scene: Scene, law: MembraneLaw, last: int) -> list[CurtainSolution]:
-    """The curtain at load steps 1 to `last`, each from the one before; one that obeys the law everywhere for bounds.
-
-    InputError if there is none at some step.
-    """
+    """The curtain at load steps 1 to `last`, each from the one before; for bounds it obeys the law everywhere."""
     mesh, count = build_mesh(scene, law.cell), scene.load.steps
     pose = admissible_problem if scene.solver.is_bounded else make_problem
     steps: list[CurtainSolution] = []
@@ -151,8 +148,8 @@ def run_scene(
     """Solve the scene in a file by a law, or by rings `on_demand`, write its files into `out`; the summary.
 
     `files`: `picture`, `animation` and `html` as of `Solution.save`, and paths of a `report` (PDF) and of the outline
-    as `dxf`. InputError in one sentence, and nothing written, if the scene cannot be read, is contradictory or has no
-    solution. What a picture or solver needs, and what files would overwrite, is checked before anything is solved.
+    as `dxf`. InputError, before anything is solved or written, for a scene that cannot be read or is contradictory, and
+    for pictures and files that cannot be made; later, if there is no solution.
     """
     wanted, scene = Pictures(**files), load_scene(scene_path)
     known = on_demand.known if on_demand and isinstance(on_demand.known, Path) else None
@@ -175,11 +172,8 @@ def run_scene(
 def run_rings(
     scene_path: Path, law_path: Path | None, out: Path, *, picture: bool = True, html: bool = False, **how: Any
 ) -> dict[str, Any]:
-    """Solve the scene in a file ring by ring, write its files into `out`; the summary.
-
-    how: space and start of `EveryRing`. InputError in one sentence, and nothing written, for what cannot be read, or
-    makes no sense for rings.
-    """
+    """Solve the scene in a file ring by ring, write its files into `out`; the summary. how: space and start of
+    `EveryRing`. InputError, and nothing written, for what cannot be read, or makes no sense for rings."""
     Pictures(picture, html=html, stem="rings").check()
     scene, inputs = load_scene(scene_path), [scene_path, law_path]
     check_out_job(out, RECORD, inputs=inputs)

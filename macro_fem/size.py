@@ -120,10 +120,8 @@ def largest_that_holds(
 
 
 def search(use: Callable[[float], float], values: Sequence[float], *, between: bool) -> float | None:
-    """The last of `values`, in order, with a use of at most 1, None if none has; or one `between` them.
-
-    The use is nearly linear in what is varied, so it is interpolated; among values alone numbers are halved.
-    """
+    """The last of `values`, in order, with a use of at most 1, None if none has, by halving; or one `between` them, by
+    interpolation, as the use is nearly linear in what is varied."""
     few = range(len(values)) if between else np.unique(np.linspace(0, len(values) - 1, COARSE).round().astype(int))
     good = [int(k) for k in few if use(values[k]) <= 1.0]
     if not good or good[-1] == len(values) - 1:

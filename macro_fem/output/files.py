@@ -34,10 +34,8 @@ def write_summary(folder: Path, summary: dict[str, Any]) -> None:
 
 
 def summarize(solution: CurtainSolution) -> dict[str, Any]:
-    """The numbers of a solution: lengths in mm, forces in N, line loads in N per mm of reference length.
-
-    Heights are y coordinates, potentials -sum force . displacement in N mm; their gap bounds the discrete error.
-    """
+    """The numbers of a solution: lengths in mm, forces in N, line loads in N per mm of reference length, heights along
+    y, potentials -sum force . displacement in N mm."""
     problem = solution.problem
     disc = problem.disc
     area, x = disc.cell_area, solution.x
@@ -105,10 +103,7 @@ def is_mean_height(problem: CurtainProblem) -> bool:
 
 
 def bounds_summary(level: Level) -> dict[str, Any]:
-    """Bounds of the potential of the continuous curtain, N mm, and their gap over total load times size.
-
-    Where weight is the only load the potential is the mean height, so that this is bounded too.
-    """
+    """Bounds of the potential of the continuous curtain, N mm, and of the mean height where weight is the only load."""
     solution, bounds, problem = level.solution, level.bounds, level.solution.problem
     total, mean = float(np.abs(problem.force).sum()), solution.mean_height()
     return {
@@ -124,10 +119,8 @@ def bounds_summary(level: Level) -> dict[str, Any]:
 
 
 def interval_summary(level: Level) -> dict[str, Any]:
-    """The interval of the answer and its parts: of the mean height in mm, or of the potential in N mm.
-
-    The law's part is null where the law has no rows: then the interval is that of the law, not of the rings.
-    """
+    """The interval of the mean height, mm, or of the potential, N mm, and its parts; that of the law is None where the
+    law has no rows: then the interval is that of the law, not of the rings."""
     bounds, problem, law = level.bounds, level.solution.problem, level.bounds.law_part
     what, unit, per, ends = "potential", "N_mm", 1.0, [bounds.lower, bounds.upper]
     of = "potential, since other loads than the curtain's weight act"

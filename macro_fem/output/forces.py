@@ -58,8 +58,7 @@ def spot_loads(scene: Scene) -> list[tuple[str, PointLoad | PatchLoad]]:
 
 
 def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
-    """Force of each support on the curtain in N, in sum and at each of its nodes, and what it holds: "support_forces"
-    of summary.json.
+    """Force of each support on the curtain in N, in sum and at each of its nodes, and what it holds.
 
     A component held by two supports counts for the first, so that the forces of all points balance the loads;
     `nodes_held` and `length_held_mm` also count what an earlier support holds.
@@ -136,10 +135,7 @@ def obstacle_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
 
 
 def obstacle_summary(steps: Sequence[CurtainSolution]) -> dict[str, Any]:
-    """Obstacles at full load, each with its reactions and displacements over the load steps; residuals of the rounds.
-
-    Nothing for a scene without obstacles and following pressure.
-    """
+    """Obstacles at full load, each with reactions and displacements over the load steps; residuals of the rounds."""
     each, settling = [obstacle_forces(step) for step in steps], steps[-1].settling
     found: dict[str, Any] = {"obstacles": each[-1]} if each[-1] else {}
     for number, line in enumerate(each[-1]):

@@ -99,10 +99,8 @@ def largest_mean(solution: CurtainSolution, area: float) -> Extreme:
 
 
 class Nearby:
-    """Averages of P (n, ...), constant in each triangle of a mesh, over the `area` (mm2) nearest to a point.
-
-    size (n,): convex in P, such as its largest singular value, so that averages have at most the largest of it.
-    """
+    """Averages of P (n, ...), constant in each triangle of a mesh, over the `area` (mm2) nearest to a point; size (n,):
+    convex in P, such as its largest singular value, so that averages have at most the largest of it."""
 
     def __init__(self, mesh: skfem.MeshTri, P: Array, size: Array, area: float) -> None:
         self.points, self.corners = mesh.p.T[np.unique(mesh.t)], mesh.p.T[mesh.t.T]
