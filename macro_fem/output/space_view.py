@@ -186,7 +186,7 @@ def _add_supports(plotter: Plotter, solution: CurtainSolution, size: float) -> N
     edges, held_at = [np.zeros((0, 2, 3))], {name: [np.zeros((0, 3))] for name in ("runners", "hooks", "held points")}
     for item, held in zip(problem.scene.support, problem.supports.held, strict=True):
         if isinstance(item, Track):
-            curve = item.curve(*edge_line(problem.mesh, "top", "track"), problem.mesh, "track")
+            curve = item.curve(edge_line(problem.mesh, "top", "track"), "track")
             line = space.lines(curve.at(np.linspace(0.0, curve.length, 200))[None])
             space.add(plotter, "track", line, TRACK, line_width=7)
         elif len(held.facets):

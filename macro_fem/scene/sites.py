@@ -7,6 +7,7 @@ as a whole by another support, is held.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -190,8 +191,37 @@ def point_node(at: tuple[float, float], disc: Discretization) -> np.ndarray:
     return np.array([np.argmin(np.linalg.norm(disc.nodes - np.array(at), axis=1))])
 
 
-def edge_line(mesh: CurtainMesh, name: str, where: str) -> tuple[np.ndarray, Array]:
-    """Corners (k,) of the mesh along a named edge from its left or lower end, and the distances (k,) from there, mm.
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A track: a `plan` of points [x, z], or an arc of `radius` and `angle` (radians, signed) with its ends at z = 0.
+
+    length and height (y) in mm. The arc is symmetric about x = middle; it bulges towards the viewer if angle > 0.
+    """
+
+    length: float
+    height: float
+    plan: Line | None = None
+    radius: float = 0.0
+    angle: float = 0.0
+    middle: float = 0.0
+
+    def at(self, s: Array) -> Array:
+        """Places (n, 3) at the distances s (n,) from the start, measured along the track, mm.
+
+        >>> Curve(np.pi * 100.0, 50.0, radius=100.0, angle=np.pi).at(np.array([50.0 * np.pi])).round(9).tolist()
+        [[0.0, 50.0, 100.0]]
+        """
+        if self.plan is None:
+            turn = (s / self.length - 0.5) * abs(self.angle)
+            x = self.middle + self.radius * np.sin(turn)
+            z = math.copysign(self.radius, self.angle) * (np.cos(turn) - math.cos(0.5 * self.angle))
+        else:
+            x, z = self.plan.at(s).T
+        return np.stack([x, np.full(len(s), self.height), z], axis=-1)
+
+
+def edge_line(mesh: CurtainMesh, name: str, where: str) -> Line:
+    """The corners of the mesh along a named edge, from its left or lower end.
 
     InputError, which begins with `where`, if the edge is no single open line.
     """
@@ -199,15 +229,15 @@ def edge_line(mesh: CurtainMesh, name: str, where: str) -> tuple[np.ndarray, Arr
     if len(lines) != 1 or lines[0].is_closed:
         what = "closed" if len(lines) == 1 else f"made of {len(lines)} pieces"
         raise InputError(f"{where} = {name!r}: is {what}, but a track or line needs an edge that is one open line")
-    return lines[0].nodes, lines[0].arc
+    return lines[0]
 
 
-def placed_along(site: Site, line: np.ndarray, places: Array) -> tuple[np.ndarray, Array]:
-    """Nodes (n,) on a line of corners (k,) at `places` (k, 3), and their places (n, 3), between two half way."""
-    mesh, nodes = site.mesh.mesh, line
+def placed_along(site: Site, nodes: np.ndarray, places: Array) -> tuple[np.ndarray, Array]:
+    """Nodes (n,) on a line of corners `nodes` (k,) at `places` (k, 3), and their places (n, 3), half way between."""
+    mesh = site.mesh.mesh
     if site.disc.element == "P2":
-        facets = mesh.p2f[:, line[:-1]].multiply(mesh.p2f[:, line[1:]]).argmax(axis=0)
-        nodes = np.concatenate([line, mesh.p.shape[1] + np.ravel(facets)])
+        facets = mesh.p2f[:, nodes[:-1]].multiply(mesh.p2f[:, nodes[1:]]).argmax(axis=0)
+        nodes = np.concatenate([nodes, mesh.p.shape[1] + np.ravel(facets)])
         places = np.concatenate([places, 0.5 * (places[1:] + places[:-1])])
     order = np.argsort(nodes)
     return nodes[order], places[order]

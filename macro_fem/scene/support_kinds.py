@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta
 
 from macro_fem.scene import sites, tables
-from macro_fem.scene.sites import Hanging, Held, Site, Support
+from macro_fem.scene.meshing.edges import Line
+from macro_fem.scene.sites import Curve, Hanging, Held, Site, Support
 from macro_fem.scene.tables import LEAST_MM, NO_MOVE, Vector, Way, in_3d, leaves_plane
-from macro_fem.scene.tracks import Curve, track_curve
-from rve.common import Array
+from rve.common import Array, InputError
 
-if TYPE_CHECKING:
-    from macro_fem.scene.meshing.mesh import CurtainMesh
+AGREES = 0.01
+"""A fullness that is given besides a track of known length may differ from theirs by this part of it."""
 
 
 @dataclass(frozen=True)
@@ -127,9 +128,9 @@ class Edge(Support, kind="edge"):
 
     def _on_line(self, site: Site, along: tuple[Vector, Vector], facets: np.ndarray) -> Held:
         """The edge evenly between two points of a straight line in space, held or free to slide."""
-        line, s = sites.edge_line(site.mesh, self.edge, f"{site.scene.source}: {self.where} edge")
-        first, last = map(site.scene.vector, along)
-        nodes, places = sites.placed_along(site, line, first + (s / s[-1])[:, None] * (last - first))
+        line = sites.edge_line(site.mesh, self.edge, f"{site.scene.source}: {self.where} edge")
+        (first, last), share = map(site.scene.vector, along), line.arc / line.arc[-1]
+        nodes, places = sites.placed_along(site, line.nodes, first + share[:, None] * (last - first))
         places += site.factor * site.scene.vector(self.move)
         e = sites.unit_direction(last - first)
         mask = np.ones(places.shape, bool)
@@ -208,20 +209,15 @@ class Track(Hanging, kind="track"):
     def space_reason(self) -> str:
         return "kind = 'track' leaves the plane"
 
-    def curve(self, line: np.ndarray, s: Array, mesh: CurtainMesh, where: str) -> Curve:
-        """Its curve for a top edge of corners `line` (k,) at the distances s (k,) from its left end."""
-        x, y = mesh.mesh.p[:, line]
-        return track_curve(self, s[-1], 0.5 * float(x.min() + x.max()), float(y.max()), where)
-
     def hold(self, site: Site) -> Held:
         where = f"{site.scene.source}: {self.where}"
-        line, s = sites.edge_line(site.mesh, "top", f"{where} needs edge")
-        curve = self.curve(line, s, site.mesh, where)
+        edge = sites.edge_line(site.mesh, "top", f"{where} needs edge")
+        curve, length = self.curve(edge, where), edge.arc[-1]
         if self.has_hooks:
             nodes = self._hooks(site)
-            places = self.places(curve, np.linspace(0.0, s[-1], len(nodes)), s[-1])
+            places = self.places(curve, np.linspace(0.0, length, len(nodes)), length)
             return Held("track", nodes, np.ones(places.shape, bool), places)
-        nodes, places = sites.placed_along(site, line, self.places(curve, s, s[-1]))
+        nodes, places = sites.placed_along(site, edge.nodes, self.places(curve, edge.arc, length))
         return Held("track", nodes, np.ones(places.shape, bool), places, site.mesh.edges["top"])
 
     def places(self, curve: Curve, s: Array, edge_length: float) -> Array:
@@ -229,3 +225,37 @@ class Track(Hanging, kind="track"):
         covered = self.drawn * curve.length
         start = 0.0 if self.side == "start" else curve.length - covered
         return curve.at(start + covered * s / edge_length)
+
+    def curve(self, edge: Line, where: str) -> Curve:
+        """The track for this top edge, as high as its highest point and about the middle of its x where that is open.
+
+        The length follows from `path`, or from `radius` and `angle`; what these leave open, from `fullness`.
+        InputError, which begins with `where`, if they contradict each other.
+        """
+        edge_length, (x, y) = edge.arc[-1], edge.points.T
+        middle, height = 0.5 * float(x.min() + x.max()), float(y.max()) if self.height is None else self.height
+        wanted = math.nan if self.fullness is None else edge_length / self.fullness
+        radius, angle = self.radius, None if self.angle is None else math.radians(self.angle)
+        if self.path is not None:
+            plan = Line(np.array(self.path))
+            curve = Curve(plan.arc[-1], height, plan)
+        elif radius is None and angle is None:
+            ends = np.array([[middle - 0.5 * wanted, 0.0], [middle + 0.5 * wanted, 0.0]])
+            curve = Curve(wanted, height, Line(ends))
+        else:
+            if radius is None:
+                radius = wanted / abs(angle or 1.0)
+            if angle is None:
+                angle = wanted / radius
+            if abs(angle) > 2.0 * math.pi:
+                raise InputError(
+                    f"{where} radius = {radius:g}: a track of {wanted:g} mm, which fullness = {self.fullness:g} asks "
+                    f"for, is longer than the whole circle of {2.0 * math.pi * radius:g} mm"
+                )
+            curve = Curve(radius * abs(angle), height, None, radius, angle, middle)
+        if abs(wanted / curve.length - 1.0) > AGREES:
+            raise InputError(
+                f"{where} fullness = {self.fullness:g}: contradicts a track of {curve.length:g} mm and a top edge of "
+                f"{edge_length:g} mm, which make {edge_length / curve.length:.4g}; give one of them less"
+            )
+        return curve

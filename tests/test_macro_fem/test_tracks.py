@@ -7,9 +7,9 @@ import pytest
 
 from macro_fem.bounds.interval import bound
 from macro_fem.curtain import solve_scene
+from macro_fem.scene.meshing.edges import Line
 from macro_fem.scene.schema import read_scene
 from macro_fem.scene.support_kinds import Track
-from macro_fem.scene.tracks import track_curve
 
 from .conftest import STRETCH_X
 
@@ -17,7 +17,11 @@ WHERE = "scene: [support] (track)"
 
 
 def curve_of(edge_length=3000.0, **keys):
-    return track_curve(Track(**keys), edge_length, 500.0, 2000.0, WHERE)
+    return Track(**keys).curve(top_edge(edge_length), WHERE)
+
+
+def top_edge(length=3000.0):
+    return Line(np.array([[500.0 - 0.5 * length, 2000.0], [500.0 + 0.5 * length, 2000.0]]))
 
 
 @pytest.mark.parametrize("angle", [90.0, -150.0, 300.0])
@@ -56,7 +60,7 @@ def test_what_is_open_follows_from_the_fullness():
 @pytest.mark.parametrize("side", ["start", "end"])
 def test_a_drawn_curtain_covers_its_part_of_the_track(side):
     item = Track(path=((0.0, 0.0), (2000.0, 0.0)), drawn=0.4, side=side)
-    curve = track_curve(item, 3000.0, 500.0, 2000.0, WHERE)
+    curve = item.curve(top_edge(), WHERE)
     places = item.places(curve, np.array([0.0, 1500.0, 3000.0]), 3000.0)
     begin = 0.0 if side == "start" else 1200.0
     assert places[:, 0] == pytest.approx([begin, begin + 400.0, begin + 800.0])

@@ -10,7 +10,8 @@ and face up: an arch, both slopes of a gable. The other sides are found in the s
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -115,11 +116,15 @@ def _following(points: Array, start: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """Neighbouring nodes (k,) with the points (k, 2) where they are and the distances `arc` (k,) from the first, mm."""
+    """A line through `points` (k, 2), those of neighbouring `nodes` (k,) of a mesh."""
 
-    nodes: np.ndarray
     points: Array
-    arc: Array
+    nodes: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    @cached_property
+    def arc(self) -> Array:
+        """Distances (k,) of the points from the first, along the line."""
+        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))])
 
     @property
     def is_closed(self) -> bool:
@@ -151,8 +156,7 @@ def paths(pairs: np.ndarray, points: Array) -> list[Line]:
             beside[ahead].remove(path[-1])
             path.append(ahead)
         if len(path) > 1:
-            steps = np.linalg.norm(np.diff(points[path], axis=0), axis=1)
-            found.append(Line(np.array(path), points[path], np.concatenate([[0.0], np.cumsum(steps)])))
+            found.append(Line(points[path], np.array(path)))
     return found
 
 
