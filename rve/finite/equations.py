@@ -71,8 +71,9 @@ def times(con: Touching, pairs: Array, q: Array) -> Array:
     return on_rings(con, np.matmul(pairs, pair_vectors(con, q)[:, :, None])[:, :, 0])
 
 
-def blocks(con: Touching, G: Array, stiff: Array, force: Array, idle: float) -> Array:
-    """Blocks (p, 7, 7) of the pairs: sum of stiff G G^T - force d2(gap); contacts below `idle` have no curvature."""
+def blocks(con: Touching, G: Array, stiff: Array, force: Array, idle: Array) -> Array:
+    """Blocks (p, 7, 7) of the pairs: sum of stiff G G^T - force d2(gap); contacts below `idle` (m,) have no
+    curvature."""
     first = np.searchsorted(con.minima.pair, np.arange(len(con.key) + 1))
     some = np.flatnonzero(first[1:] > first[:-1])
     out = np.zeros((len(con.key), PAIR, PAIR))
@@ -81,7 +82,7 @@ def blocks(con: Touching, G: Array, stiff: Array, force: Array, idle: float) -> 
         mine = some[part : part + _CHUNK]
         rows = np.arange(first[mine[0]], first[mine[-1] + 1])
         per = (stiff[rows, None] * G[rows])[:, :, None] * G[rows, None, :]
-        curved = np.flatnonzero(force[rows] > idle)
+        curved = np.flatnonzero(force[rows] > idle[rows])
         per[curved] -= force[rows[curved], None, None] * _curvatures(con, rows[curved], frame)
         out[mine] = np.add.reduceat(per, first[mine] - rows[0], axis=0)
     return out

@@ -78,10 +78,10 @@ class Iteration:
     """
 
     def __init__(self, state: State, task: Task, G: Array, factorize: Factorizer) -> None:
-        con, mu = state.touching, state.mu
+        con, mu, most = state.touching, state.contact_mu, float(state.mu.max())
         self.state, self.task, self.con, self.G, self._factorize = state, task, con, G, factorize
         self.stiff = (state.force + mu / con.reach) / con.gap
-        _, pull, self._soft = task.springs(con.placed, mu)
+        _, pull, self._soft = task.springs(con.placed, most)
         self._soft += _SOFT
         rhs = spread(con, G, mu * (1.0 / con.gap - 1.0 / con.reach))
         rhs[:, :3] += task.force
@@ -95,8 +95,8 @@ class Iteration:
         self._held[:, :3] = way * min(1.0, _WAY / max(far, 1e-300))
         # Damping is measured in the force that a pair carries: pairs near supports need more of it.
         carried = np.bincount(con.minima.pair, state.force, minlength=len(con.key))
-        self._heavy = np.maximum(carried, 0.1 * mu * np.isin(con.key, task.keys))
-        self.barrier = task.barrier(con, mu)
+        self._heavy = np.maximum(carried, 0.1 * con.greater(state.mu) * np.isin(con.key, task.keys))
+        self.barrier = task.barrier(con, state.mu)
         felt = (con.count > 0) | (self._heavy > 0.0)  # pairs without contact stay out of the pattern
         self._pattern = Pattern.of(con, felt, task.free, task.tie)
         self.added = Added(state.damping, state.local.copy(), state.convex.copy(), np.zeros(len(con.gap)))
@@ -122,7 +122,7 @@ class Iteration:
             if self._turns >= _TURNS or not self._is_short(safe, dgap):
                 break
         stiff = self.stiff + self.added.extra
-        dforce = (state.mu * (1.0 - con.gap / con.reach) - state.force * con.gap) / con.gap - stiff * dgap
+        dforce = (state.contact_mu * (1.0 - con.gap / con.reach) - state.force * con.gap) / con.gap - stiff * dgap
         return Step(q, dgap, dforce, safe, -float((self.rhs * q).sum()), stiff, solve)
 
     def _closing(self, q: Array) -> Array:
@@ -166,7 +166,7 @@ class Iteration:
         con, added, felt = self.con, self.added, self._pattern.felt
         if added.convex.min() >= 1.0:
             added.damping = max(1e-3, 5.0 * added.damping)
-        elif self.state.mu >= _FINE or self.failed > _LOCAL or np.mean(added.convex > 0.0) > _MANY:
+        elif self.state.mu.max() >= _FINE or self.failed > _LOCAL or np.mean(added.convex > 0.0) > _MANY:
             added.convex = np.minimum(1.0, np.maximum(0.2, 3.0 * added.convex))
         else:
             near = np.zeros(len(con.placed.x), dtype=bool)
@@ -204,7 +204,7 @@ class Iteration:
             self._turns += 2
             added.convex[:] = 1.0
             return True
-        if self.state.mu < _FINE and not (self.is_moving or tight.any() or (added.local > last.local).any()):
+        if self.state.mu.max() < _FINE and not (self.is_moving or tight.any() or (added.local > last.local).any()):
             for part in _CLOSING:
                 rows = np.flatnonzero((open_ < part) | (added.extra > last.extra))
                 if len(rows) <= _RANK:

@@ -99,10 +99,11 @@ def _fell(now: Iteration, new: Touching, slope: float) -> bool:
         return np.asarray(total), d - 1.0 - np.log(d)
 
     old, mu = now.con, now.state.mu
+    each = new.greater(mu)
     (all_old, one_old), (all_new, one_new) = parts(old), parts(new)
     i = of_pairs(old.key, new.key)
     changed = (i >= 0) & (old.count[i] != new.count) & (old.count[i] > 0) & (new.count > 0)
     i = i[changed]
-    split = float(((one_new[changed] - one_old[i]) - (all_new[changed] - all_old[i])).sum())
-    after = now.task.barrier(new, mu) + mu * split
+    split = (one_new[changed] - one_old[i]) - (all_new[changed] - all_old[i])
+    after = now.task.barrier(new, mu) + float(each[changed] @ split)
     return after <= now.barrier + 1e-4 * slope + 1e-11 * (1.0 + abs(now.barrier))

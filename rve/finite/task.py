@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,38 +120,45 @@ class Task:
             stiff[:, :3] += weight
         return energy, pull, stiff
 
-    def barrier(self, con: Touching, mu: float) -> float:
-        """-f.x + mu sum (g/R - 1 - log g/R), g the gap and R the reach, and the energy of springs and inertia, all
-        without units: falls along a step at one mu."""
+    def barrier(self, con: Touching, mu: Array) -> float:
+        """-f.x + sum mu (g/R - 1 - log g/R), g the gap and R the reach, and the energy of springs and inertia, all
+        without units, mu (n,) of the rings: falls along a step at one mu."""
         gap = np.minimum(con.gap / con.reach, 1.0)
-        energy = self.springs(con.placed, mu)[0] - (self.force * con.placed.x).sum()
-        return float(energy + mu * (gap - 1.0 - np.log(gap)).sum())
+        energy = self.springs(con.placed, float(mu.max()))[0] - (self.force * con.placed.x).sum()
+        return float(energy + (con.greater(mu)[con.minima.pair] * (gap - 1.0 - np.log(gap))).sum())
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """An iterate: forces (m,) of contacts; damping of all pairs, and `local` (p,) of single ones on top of it; convex
-    (p,): which part of the negative curvature of each pair is left out."""
+    """An iterate: forces (m,) of contacts; mu (n,) of rings, of which a contact has the greater; damping of all pairs,
+    and `local` (p,) of single ones on top of it; convex (p,): which part of the negative curvature of each pair is left
+    out; gain (n,): what the step to it could have gained, by rings, negative where there was none."""
 
     touching: Touching
     force: Array
-    mu: float
+    mu: Array
     damping: float
     local: Array
     convex: Array
+    gain: Array
 
-    def at(self, touching: Touching, mu: float) -> State:
+    @property
+    def contact_mu(self) -> Array:
+        """mu (m,) of the contacts."""
+        return np.asarray(self.touching.greater(self.mu)[self.touching.minima.pair])
+
+    def at(self, touching: Touching) -> State:
         """The iterate with other contacts, forces handed on."""
         row = of_pairs(self.touching.key, touching.key)
         local, convex = (np.where(row >= 0, of[row], 0.0) for of in (self.local, self.convex))
-        force = handed_on(self.touching, self.force, touching, mu)
-        return State(touching, force, mu, self.damping, local, convex)
+        force = handed_on(self.touching, self.force, touching, touching.greater(self.mu)[touching.minima.pair])
+        return replace(self, touching=touching, force=force, local=local, convex=convex)
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One iteration: mu, unbalanced force over load, Newton decrement, part of the step taken, damping, and how many
-    contacts, trials and factors it had."""
+    """One iteration: the largest mu, unbalanced force over load, Newton decrement, part of the step taken, damping, and
+    how many contacts, trials and factors it had."""
 
     mu: float
     residual: float

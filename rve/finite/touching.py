@@ -106,11 +106,15 @@ class Touching:
         """Minima of each pair (p,)."""
         return np.bincount(self.minima.pair, minlength=len(self.a))
 
-    def central(self, mu: float) -> Array:
-        """Forces (m,) on the central path, a little more than none where a gap is at the reach."""
+    def greater(self, of: Array) -> Array:
+        """The greater value (p,) of the two rings of each pair, of rings (n,)."""
+        return np.maximum(of[self.a], of[self.b])
+
+    def central(self, mu: Array | float) -> Array:
+        """Forces (m,) on the central path, mu () or (m,), a little more than none where a gap is at the reach."""
         return np.asarray(mu * np.maximum(1.0 / self.gap - 1.0 / self.reach, 1e-8))
 
-    def shared(self, total: Array, mu: float) -> Array:
+    def shared(self, total: Array, mu: Array | float) -> Array:
         """Forces (m,): the total force (p,) of each pair shared out as on the central path, or that of the path."""
         fresh, pair = self.central(mu), self.minima.pair
         whole = np.bincount(pair, fresh, minlength=len(self.key))
@@ -223,7 +227,7 @@ def of_pairs(keys: Index, asked: Index) -> Index:
     return np.where(keys[place] == asked, place, -1)
 
 
-def handed_on(old: Touching, force: Array, new: Touching, mu: float) -> Array:
+def handed_on(old: Touching, force: Array, new: Touching, mu: Array) -> Array:
     """Forces (m,) for new contacts: a pair's contacts keep theirs where their number stays; where it does not, the
     pair's total is shared out as on the central path; pairs that are new take its forces."""
     row, pair = of_pairs(old.key, new.key), new.minima.pair

@@ -110,7 +110,7 @@ def test_gradients_and_newton_matrix_are_those_of_differences():
     for row in np.flatnonzero(same)[::7]:
         force = np.zeros(len(gap))
         force[row] = 1.0
-        K = blocks(con, jac, np.zeros(len(gap)), force, 0.0)
+        K = blocks(con, jac, np.zeros(len(gap)), force, np.zeros(len(gap)))
         v = moved[row]
         second = (g1[row] - 2 * gap[row] + g2[row]) / step**2
         assert v @ -K[con.minima.pair[row]] @ v == pytest.approx(second, abs=1e-3 * (1.0 + abs(second)))
@@ -129,7 +129,7 @@ def some_matrix():
         whole[row, con.b[pair], :3] += jac[row, :3]
         whole[row, con.a[pair], 3:] += jac[row, 3:5]
         whole[row, con.b[pair], 3:] += jac[row, 5:]
-    K = blocks(con, jac, stiff, np.zeros(m), 0.0)
+    K = blocks(con, jac, stiff, np.zeros(m), np.zeros(m))
     free = rng.uniform(size=(n, 5)) > 0.2
     flat = whole.reshape(m, 5 * n)
     dense = flat.T @ (stiff[:, None] * flat) + 0.7 * np.eye(5 * n)
@@ -574,14 +574,14 @@ def test_far_from_its_edges_a_mesh_has_the_strain_of_the_cell():
     assert found.arrays["error"][2:].max() < 1e-3
 
 
-def test_the_right_hand_side_is_the_slope_of_the_barrier_function_with_a_guide_too():
+def test_the_right_hand_side_is_the_slope_of_the_barrier_function_where_each_ring_has_its_mu_and_with_a_guide_too():
     mesh, placed, rng = disturbed(3)
     n = len(mesh.X)
     guide = np.where(rng.uniform(size=(n, 3)) > 0.3, placed.x + rng.standard_normal((n, 3)), np.nan)
     none = np.zeros((n, 3), dtype=bool)
     free = np.ones((n, 5), dtype=bool)
     task = Task(mesh.linked, 0.1, rng.standard_normal((n, 3)), none, placed.x, free, beside=False, guide=guide)
-    q, mu, step = rng.standard_normal((n, 5)), 0.03, 1e-6
+    q, mu, step = rng.standard_normal((n, 5)), rng.uniform(0.001, 0.03, n), 1e-6
 
     def at(t):
         con = find_touching(placed.moved(t * q), mesh.linked, 0.1, 0.6, beside=False)
@@ -590,10 +590,11 @@ def test_the_right_hand_side_is_the_slope_of_the_barrier_function_with_a_guide_t
     con, _ = at(0.0)
     (fore, above), (aft, below) = at(step), at(-step)
     assert (fore.count == aft.count).all()
-    state = State(con, con.central(mu), mu, 0.0, *np.zeros((2, len(con.key))))
+    state = State(con, np.zeros(len(con.gap)), mu, 0.0, *np.zeros((2, len(con.key))), np.zeros(n))
+    assert (state.contact_mu == np.maximum(mu[con.a], mu[con.b])[con.minima.pair]).all()
     slope = -(Iteration(state, task, gradients(con), Factorizer()).rhs * q).sum()
     assert (above - below) / (2 * step) == pytest.approx(slope, rel=1e-6)
-    for small in (1e-9, 5e-4):
+    for small in np.outer((1e-9, 5e-4), np.ones(n)):
         assert task.barrier(con, small) == replace(task, guide=None).barrier(con, small)
 
 
