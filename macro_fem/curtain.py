@@ -27,8 +27,7 @@ INWARD = 0.05
 """How far the start of a load step is drawn from the last curtain, where no cone has any margin left, to the slack
 start; farther away more steps are needed."""
 ELASTIC_GAP = 1e-2
-"""Stresses of an elastic curtain are off by the square root of the gap, so its path is followed further down: to this
-part of the gap asked for."""
+"""Stresses of an elastic curtain are off by the square root of the gap: its path goes on to this part of the gap."""
 
 
 def solve_scene(scene: Scene, law: MembraneLaw) -> CurtainSolution:

@@ -38,18 +38,18 @@ class HungLaw:
         return np.asarray(A @ self.to_weave.T)
 
     def support(self, S: Array) -> Array:
-        return self.own.support(self.in_weave(S))
+        return self.own.support(S @ self.to_weave.T)
 
     def half_spaces(self) -> HalfSpaces:
         start = self.own.half_spaces()
         return replace(start, S=start.S @ self.to_curtain.T)
 
     def cut(self, E: Array) -> Cut:
-        cut = self.own.cut(np.column_stack([self.in_weave(E[:, :3]), E[:, 3:]]))
+        cut = self.own.cut(np.column_stack([E[:, :3] @ self.to_weave.T, E[:, 3:]]))
         return replace(cut, S=cut.S @ self.to_curtain.T)
 
     def response(self, E: Array) -> Response:
-        local = self.own.response(self.in_weave(E))
+        local = self.own.response(E @ self.to_weave.T)
         T = self.to_curtain
         return Response(local.energy, local.S @ T.T, T @ local.C @ self.to_weave, local.E_star @ T.T)
 

@@ -25,10 +25,9 @@ SHIFTS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9)
 
 @dataclass(frozen=True, eq=False)
 class SupportedFem:
-    """A discretisation `disc` whose nodes (n_nodes, d) are at x_held + T z.
+    """A discretisation whose nodes (n_nodes, d) are at x_held + T z; the last `loose` ones belong to no cell.
 
     free (n_nodes * d,) marks components that are unknowns themselves; `tie` (n_nodes * d, n_z) is None without ties.
-    The last `loose` nodes belong to no cell.
     """
 
     disc: Discretization
