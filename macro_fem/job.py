@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from homogenize import (
+    CellInfo,
     LawInterval,
     MembraneLaw,
     default_law,
@@ -18,7 +19,6 @@ from homogenize import (
 from macro_fem.answer import RECORD, Solution
 from macro_fem.bounds.adapt import admissible_problem
 from macro_fem.bounds.adapt import levels as refined_levels
-from macro_fem.combinations import combined
 from macro_fem.curtain import solve_problem
 from macro_fem.demand.options import OnDemand
 from macro_fem.membrane import MembraneSolution
@@ -28,8 +28,11 @@ from macro_fem.rings.compare import Comparison
 from macro_fem.rings.every_ring import EveryRing, EveryRingSolution
 from macro_fem.rings.ring_scene import in_material, ring_scene
 from macro_fem.scene.checks import check_bounds, check_scene, check_sizes
+from macro_fem.scene.loads import areal_mass
 from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.scene.moving import scaled
 from macro_fem.scene.schema import Scene, load_scene
+from macro_fem.scene.tables import Combination, LiveLoad
 from macro_fem.solution import CurtainSolution
 from rve import Cell, FiniteOptions
 from rve.common import Cache, InputError, check_out_job, noted_if_stopped, part_of
@@ -61,14 +64,23 @@ def solve(scene: Scene, who: Who = None) -> Solution:
             raise InputError(f"{scene.source}: [combination]: is for a curtain by a law; every ring bears its loads")
         return solve_every_ring(scene, who)
     answer = _on_demand(scene, who) if isinstance(who, OnDemand) else solve_membrane(scene, who)
-    cell = answer.solution.problem.law.cell
-    others = []
+    others, cell, count = [], answer.solution.problem.law.cell, len(scene.combination)
     for number, one in enumerate(scene.combination):
-        with part_of(f"combination {one.name}", number / len(scene.combination), (number + 1) / len(scene.combination)):
-            found = solve(combined(scene, one, cell), who)
-            assert isinstance(found, MembraneSolution)
-            others.append((one, found))
+        with part_of(f"combination {one.name}", number / count, (number + 1) / count):
+            others.append((one, solve(combined(scene, one, cell), who)))
     return replace(answer, combinations=tuple(others))
+
+
+def combined(scene: Scene, combination: Combination, cell: CellInfo | None) -> Scene:
+    """The scene with each load times its factor; `cell`: that of the law, which tells the weight of the mesh."""
+    curtain, keys = scene.curtain, ("force", "pressure", "mass")
+    if combination.weight != 1.0:
+        curtain = replace(curtain, areal_mass=combination.weight * areal_mass(scene, cell)[0])
+    items = tuple(
+        scaled(item, getattr(combination, item.kind), keys) if isinstance(item, LiveLoad) else item
+        for item in scene.items
+    )
+    return replace(scene, curtain=curtain, items=items, combination=())
 
 
 def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -> MembraneSolution:

@@ -13,11 +13,11 @@ import numpy as np
 
 from macro_fem.answer import Solution
 from macro_fem.bounds.adapt import Level
-from macro_fem.combinations import envelope
 from macro_fem.elastic_forces import with_forces
 from macro_fem.output import files
 from macro_fem.output.forces import obstacle_summary
 from macro_fem.output.pictures import Pictures, plot_line_loads, plot_utilisation, write_curtain_page, write_pictures
+from macro_fem.output.weakest import envelope
 from macro_fem.rings.curtain import curtain_of, read_told
 from macro_fem.rings.localize import localize
 from macro_fem.scene.meshing.mesh_files import write_outline
@@ -45,7 +45,7 @@ class MembraneSolution(Solution):
     steps: tuple[CurtainSolution, ...]
     levels: tuple[Level, ...] = ()
     demand: Demand | None = None
-    combinations: tuple[tuple[Combination, MembraneSolution], ...] = ()
+    combinations: tuple[tuple[Combination, Solution], ...] = ()
 
     @property
     def solution(self) -> CurtainSolution:

@@ -1,8 +1,16 @@
-"""The weakest link of a curtain, from its summary: the mesh, the ring at a hook, or the hook itself."""
+"""The weakest link of a curtain, from its summary: the mesh, the ring at a hook, or the hook itself; and the load
+combination that governs."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any, NamedTuple
+
+import numpy as np
+
+from macro_fem.output.forces import support_rows
+from macro_fem.scene.tables import Combination
 
 OF_FORCE = (
     "triangles there are too large for an average over one cell of the rings, so for the mesh the factor is that of "
@@ -82,3 +90,29 @@ def holds_line(summary: dict[str, Any]) -> str:
     elif points > averages:
         parts.append(OF_FORCE)
     return "; ".join(parts)
+
+
+def envelope(found: Sequence[tuple[Combination, Mapping[str, Any]]]) -> dict[str, Any]:
+    """What summary.json says of combinations, from their summaries: factors, status and what gives first of each; which
+    one governs, by the least factor (by the largest force of a single point where the strength of the rings is not
+    known); for each held point the largest force of all and the combination that asks for it."""
+    rows: list[dict[str, Any]] = [
+        {
+            "name": combination.name,
+            "factors": {item.name: getattr(combination, item.name) for item in fields(combination)[1:]},
+            "largest_force_N": max((one["largest_nodal_force_N"] for one in summary["support_forces"]), default=0.0),
+        }
+        | {key: summary[key] for key in ("status", "message", "safety_factor", "weakest", "weakest_factor")}
+        for combination, summary in found
+    ]
+    worst = max(rows, key=lambda row: row["largest_force_N"])
+    if all(row["weakest_factor"] is not None for row in rows):
+        worst = min(rows, key=lambda row: row["weakest_factor"])
+    points = []
+    for each in zip(*(support_rows(one["support_forces"])[1] for _, one in found), strict=True):
+        sizes = [float(np.linalg.norm(row[4:7])) for row in each]  # of the components of the force
+        most = int(np.argmax(sizes))
+        own = {"force_N": sizes[most], "combination": found[most][0].name}
+        points.append(dict(zip(("support_number", "support", "x_mm", "y_mm"), each[0], strict=False)) | own)
+    told = {key: worst[key] for key in ("safety_factor", "weakest", "weakest_factor")}
+    return {"combinations": rows, "envelope": {"governing": worst["name"], **told, "support_forces": points}}

@@ -73,7 +73,7 @@ def test_a_combination_scales_every_kind_of_load():
         mesh=Mesh(cells=4),
         combination=(Combination("wind", edge=2.0, wind=1.5),),
     )
-    found = macro_fem.combinations.combined(scene, scene.combination[0], None)
+    found = macro_fem.job.combined(scene, scene.combination[0], None)
     assert found.of(EdgeLoad)[0].force == (0.0, -0.2)
     assert found.of(Wind)[0].speed == pytest.approx(10.0 * math.sqrt(1.5))
     answer = solve(scene)
