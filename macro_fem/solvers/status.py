@@ -126,8 +126,15 @@ class Judged:
         """Status and message, from the numbers of the answer."""
         raise NotImplementedError
 
-    status = property(lambda self: self.verdict.status)
-    message = property(lambda self: self.verdict.message)
+    @property
+    def status(self) -> Status:
+        """One word for how it ended."""
+        return self.verdict.status
+
+    @property
+    def message(self) -> str:
+        """The sentence of the status."""
+        return self.verdict.message
 
 
 @dataclass(frozen=True)
