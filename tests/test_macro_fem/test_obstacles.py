@@ -12,7 +12,7 @@ from macro_fem.scene.schema import read_records, read_scene
 from macro_fem.shape_loop import solve_shape
 from rve.common.errors import InputError
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
-from tests.test_macro_fem.sheets import posed
+from tests.test_macro_fem.sheets import posed, sheet
 
 DENSITY = 2.785 * 9.81e-6
 """Weight of the small scenes, N/mm2."""
@@ -126,11 +126,8 @@ def test_quadratic_cells_do_not_dip_below_a_floor_between_their_nodes(fitted_law
 
 def rope(cells, clear="nodes"):
     """A strip held at (y, z) = (0, -R) that goes over a cylinder of radius R and hangs down in front of it."""
-    width = 2.0 * LENGTH / cells
-    return {
-        "curtain": {"width": width, "height": LENGTH, "areal_mass": 2.785},
-        "mesh": {"cells": 2},
-        "support": {"kind": "top", "move": [0.0, -LENGTH, -R]},
+    strip = sheet(2.0 * LENGTH / cells, LENGTH, 2, {"kind": "top", "move": [0.0, -LENGTH, -R]}, areal_mass=2.785)
+    return strip | {
         "obstacle": {"kind": "cylinder", "axis": [1, 0, 0], "radius": R, "clear": clear},
         "start": {"origin": [0.0, R, LENGTH - R], "y_axis": [0.0, 0.0, -1.0]},
     }
@@ -212,19 +209,10 @@ def test_summary_tells_reaction_and_displacement_step_by_step(fitted_law, scene_
 
 
 def test_mesh_over_the_edge_of_a_box_is_held_by_roof_and_front(fitted_law):
-    tables = {
-        "curtain": {"width": 250.0, "height": 1000.0, "areal_mass": 2.785},
-        "mesh": {"cells": 2},
-        "support": {"kind": "top", "move": [0.0, -1000.0, -400.0]},
-        "obstacle": {
-            "kind": "box",
-            "corner": [-500.0, -2000.0, -2000.0],
-            "size": [1500.0, 2000.0, 2000.0],
-            "clear": "nodes",
-        },
-        "start": {"origin": [0.0, 0.0, 600.0], "y_axis": [0.0, 0.0, -1.0]},
-    }
-    solution = answer(tables, fitted_law)
+    strip = sheet(250.0, 1000.0, 2, {"kind": "top", "move": [0.0, -1000.0, -400.0]}, areal_mass=2.785)
+    box = {"kind": "box", "corner": [-500.0, -2000.0, -2000.0], "size": [1500.0, 2000.0, 2000.0], "clear": "nodes"}
+    start = {"origin": [0.0, 0.0, 600.0], "y_axis": [0.0, 0.0, -1.0]}
+    solution = answer(strip | {"obstacle": box, "start": start}, fitted_law)
     assert solution.status == "converged", solution.message
     assert_balanced(solution)
     x, way = solution.x, pushes_of(solution, 0).sum(axis=0)

@@ -13,6 +13,7 @@ from homogenize.io import default_law
 from macro_fem.curtain import solve_scene
 from macro_fem.scene.schema import read_scene
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
+from tests.test_macro_fem.sheets import sheet
 
 RINGS = default_law()
 LENGTH, WIDTH, GRAVITY, MASS = 1000.0, 250.0, 9.81, 2.0
@@ -61,18 +62,10 @@ def hammock(name, cells, width=WIDTH, pattern="diagonal", **solver):
     weave, move, wind = CASES[name]
     law, angle, _ = law_of(weave)
     rail = {"kind": "edge", "held": "yz" if weave == "x" else "both", "gather": 0.9 if weave == "cloth" else 1.0}
-    return solve_scene(
-        read_scene(
-            {
-                "curtain": {"width": width, "height": LENGTH, "weave_angle": angle, "areal_mass": MASS},
-                "mesh": {"cells": cells, "pattern": pattern},
-                "support": [rail | {"edge": "top"}, rail | {"edge": "bottom", "move": move}],
-                "load": {"gravity": GRAVITY, "wind": {"pressure": wind, "direction": [0.0, 0.0, 1.0]}},
-                "solver": solver,
-            }
-        ),
-        law,
-    )
+    held = [rail | {"edge": "top"}, rail | {"edge": "bottom", "move": move}]
+    load = {"gravity": GRAVITY, "wind": {"pressure": wind, "direction": [0.0, 0.0, 1.0]}}
+    more = {"weave_angle": angle, "areal_mass": MASS}
+    return solve_scene(read_scene(sheet(width, LENGTH, cells, held, {"pattern": pattern}, load, solver, **more)), law)
 
 
 def exact(name):
