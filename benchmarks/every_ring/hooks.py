@@ -105,7 +105,7 @@ def peak(found: FiniteSolution, i: int, ring: Ring) -> float:
     at, F, (e1, e2) = np.array(rho), np.array(push), frames(N[None])
     phi = np.arctan2(at @ e2[0], at @ e1[0])
     forces = np.stack([(F * at).sum(axis=1), (F * np.cross(N, at)).sum(axis=1), F @ N], axis=1)
-    return float(peak_stress(phi[None], forces[None], ring).stress[0])
+    return float(peak_stress(phi[None], forces[None], ring)[0][0])
 
 
 def contact_point(found: FiniteSolution, k: int, ring: Ring) -> tuple[Array, Array]:

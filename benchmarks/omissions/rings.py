@@ -54,8 +54,8 @@ def solved(cell: Cell, s: Array, feature: str = "") -> Equilibrium:
     """Locked states under the line loads s (n, 3), with one feature switched on."""
     weave = widened(cell.weave) if feature == "unlisted-pairs" else cell.weave
     equations = Equations.of(weave, cell.wire)
-    far, idle = feature == "far-pairs", feature == "idle-curvature"
-    varied = replace(equations, far_pairs=far, idle_curvature=idle)
+    idle = -1.0 if feature == "idle-curvature" else equations.idle
+    varied = replace(equations, far_pairs=feature == "far-pairs", idle=idle)
     if feature == "asymmetry":
         return solve_equilibrium(s, varied)
     return solve_equilibrium_symmetric(s, varied, DirectOptions())

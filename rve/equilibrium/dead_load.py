@@ -1,8 +1,6 @@
 """Dead second Piola-Kirchhoff line loads: their force, and locked states under them from given starts.
 
-A dead line load S has the potential S:E per unit of reference area. The derivative of its force is symmetric, and E is
-quadratic in the lattice vectors, so it does not depend on the pose. Which of the locked states does the largest work is
-the matter of `rve.equilibrium.largest_work`.
+A dead line load S has the potential S:E per unit of reference area; the derivative of its force is symmetric.
 """
 
 from __future__ import annotations
@@ -55,10 +53,9 @@ class DeadLoad:
     """
 
     sides: tuple[float, float]
-    is_relative: bool = True
 
-    def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
-        """See CellLoad."""
+    def __call__(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
+        """The `Force`."""
         b1, b2 = self.sides
         A = np.stack([s[:, 0] * b2 / b1, s[:, 1], s[:, 1], s[:, 2] * b1 / b2], axis=1).reshape(-1, 2, 2)
         return on_coordinates(np.asarray(np.kron(A, np.eye(2)), dtype=float), pose, T)

@@ -1,10 +1,8 @@
 """Rings that give: contact forces, compliance and strength of locked states, to first order in the load.
 
-At the rigid pose a contact force lam_c presses on two rings, at one point of each and along the contact normal. C is
-the dense flexibility between the contacts of a cell, the sum over its rings (`rve.ring`). Where more contacts touch
-than balance can tell apart, the forces are those of least strain energy, lam C lam / 2, among all nonnegative ones in
-balance. To first order S:D S = lam C lam / A_ref. Lengths are in r1, forces in s r1, and Young's modulus is 1, so that
-compliances are to be divided by E r1, stresses by r1.
+C is the dense flexibility between the contacts of a cell, the sum over its rings (`rve.ring`). Where more touch than
+balance can tell apart, the forces are those of least strain energy, lam C lam / 2. Lengths are in r1, forces in s r1,
+and Young's modulus is 1: compliances are to be divided by E r1, stresses by r1.
 """
 
 from __future__ import annotations
@@ -136,8 +134,8 @@ class _Cells:
         for k in range(ends.grain.shape[1]):
             phi, direction, contact = ends.on(k)
             forces = np.take_along_axis(lam, contact, axis=1)[..., None] * direction
-            peak = peak_stress(phi, forces, self.ring, None if joint is None else joint[:, k])
-            stress = np.maximum(stress, peak.stress)
+            peak, _, _ = peak_stress(phi, forces, self.ring, None if joint is None else joint[:, k])
+            stress = np.maximum(stress, peak)
         energy, angles = np.einsum("nc,ncd,nd->n", lam, C, lam), np.full(n, angle_deg)
         collapse = self._collapse(lam, joint)
         return RingStates(full.reshape(found.lam.shape), locking, elastic, stress, collapse, angles), energy
@@ -151,7 +149,7 @@ class _Cells:
         given, chosen = np.flatnonzero(width == 0), np.flatnonzero(width > 0)
         if len(given):
             moments = self._moments(given, lam[given, :, None], joint)
-            out[given] = 1.0 / np.min([largest_factors(base[..., 0], held).factor for base, held in moments], axis=0)
+            out[given] = 1.0 / np.min([largest_factors(base[..., 0], held)[0] for base, held in moments], axis=0)
         if len(chosen):
             change = np.zeros((len(chosen), lam.shape[1], width.max()))
             for row, i in enumerate(chosen):
@@ -246,4 +244,4 @@ def _factors(moments: list[tuple[Array, Array]], start: Array, change: Array) ->
     signs = np.zeros((n, c, 1 + own + width))
     signs[..., 0] = np.where(start > 0.0, start, 1.0)
     signs[..., 1 + own :] = change
-    return largest_factors(np.concatenate(base, axis=1), np.concatenate(free, axis=1), signs).factor
+    return largest_factors(np.concatenate(base, axis=1), np.concatenate(free, axis=1), signs)[0]

@@ -3,10 +3,6 @@
 Each case follows the central path lam_i gap_i = mu as mu -> 0 from one slack pose, with the exact unsymmetric Jacobian
 of `system`. Gaps stay positive and links intact in every accepted step, so rings never pass through each other. A trust
 radius per case limits steps where the curvature of merging contacts is unbounded. Converged cases leave the batch.
-Cases that stall are tried again from disturbed start poses and with a slower decrease of mu.
-
-Contact search (`rve.geometry.circles`) must find both minima of a merging pair even when they are 0.001 rad apart, and
-must not count the saddle between them.
 """
 
 from __future__ import annotations

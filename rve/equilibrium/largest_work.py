@@ -1,17 +1,8 @@
-"""The largest work of a dead load (`dead_load`): locked states from several starts, and the best of them.
+"""The largest work of a dead load: locked states from several starts, and the best of them, h(S) = max S:E.
 
-The locked states of a load S are the stationary points of S:E over the admissible poses, and the support function
-h(S) = max S:E is the largest of them.
-
-Every locked state is an admissible pose, so it is a start for every other load: a restart from a state that does more
-work than the one known so far climbs from there. The slack pose of a weave has the symmetry of `symmetry`, and paths
-from it keep that symmetry though a state without it may do more work: random admissible poses are starts as well. What
-remains assumed is that the starts together reach the largest.
-
-A locked state of the primitive cell is one of every larger cell, or with centres in space, but need not be a maximum of
-the work there: rings of neighbouring cells may move against each other, up and down. Starts for better states are the
-motions that keep every loaded contact closed and on which the second derivative of the potential is negative, and a
-small disturbance of all rings at random, which finds states beyond a barrier.
+The slack pose has the symmetry of `symmetry`, and paths from it keep it, so random admissible poses are starts as well,
+and so is every known state that does more work. A locked state of the primitive cell need not be a maximum in a larger
+one: starts there are its motions of negative stiffness, and a small disturbance of all rings at random.
 """
 
 from __future__ import annotations
@@ -35,7 +26,7 @@ from rve.equilibrium.dead_load import (
     solve_dead,
 )
 from rve.equilibrium.interior_point import Equilibrium, unit_loads
-from rve.equilibrium.limits import contact_forces, loose_motions, touching
+from rve.equilibrium.limits import contact_forces, loose_motions
 from rve.equilibrium.system import Equations
 from rve.geometry.pose import Pose, mirrored, moved, tiled
 
@@ -57,7 +48,7 @@ VICINITY = 0.15
 NO_WORK = 1e6
 """Minus this stands for the work of a load for which no state is known."""
 TOUCHING = 1e-6
-"""Gap in r1 of contacts that may carry force in a locked state."""
+"""Gap in r1 below which a contact may carry force in a locked state; working ones end at 1e-13 over their force."""
 UNSTABLE = -1e-6
 """Stiffness in s r1^2 below which a motion gives way; round-off leaves 1e-8."""
 MODES = 3
@@ -218,13 +209,10 @@ def balanced(pose: Pose, s: Array, equations: Equations, reach: float) -> Equili
 
     The solver leaves the balance across the plane open where centres stay in it.
     """
-    contacts = equations.contacts(pose, reach)
-    lam = np.zeros(contacts.gap.shape)
-    bare = equations.assemble(pose, contacts, lam, s)
-    lam = contact_forces(bare, touching(contacts, TOUCHING).reshape(len(s), -1)).reshape(lam.shape)
-    R = equations.assemble(pose, contacts, lam, s).weighted_residual
-    none = np.zeros(len(s), dtype=int)
-    return Equilibrium(pose, lam, contacts, R, none, np.full(len(s), "converged", dtype="<U16"), none)
+    contacts, none = equations.contacts(pose, reach), np.zeros(len(s), dtype=int)
+    lam, system = contact_forces(pose, contacts, equations, s, TOUCHING)
+    status = np.full(len(s), "converged", dtype="<U16")
+    return Equilibrium(pose, lam, contacts, system.weighted_residual, none, status, none)
 
 
 def unstable_motions(found: Equilibrium, s: Array, equations: Equations) -> Iterator[tuple[int, Array]]:

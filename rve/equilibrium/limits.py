@@ -1,7 +1,6 @@
 """Where the load leaves the strain free: detection, and the limit from inside the tensile cone.
 
-At beta = 0 and about 15 to 40 degrees of alpha the load only tightens one straight chain of rings; the rest of the cell
-may move. Such a row gets the limit of the strain for a vanishing second principal load.
+At beta = 0 and about 15 to 40 degrees of alpha the load only tightens one straight chain of rings.
 """
 
 from __future__ import annotations
@@ -118,14 +117,18 @@ def touching(contacts: CellContacts, reach: float | Array) -> NDArray[np.bool_]:
     return contacts.present & (contacts.gap < np.reshape(reach, (-1, 1, 1)))
 
 
-def contact_forces(system: System, active: NDArray[np.bool_]) -> Array:
-    """Forces >= 0 of the active contacts (n, c) that balance the load best, in the norm of the mass matrix."""
-    lam = np.zeros(active.shape)
-    for i, rows in enumerate(active):
+def contact_forces(
+    pose: Pose, contacts: CellContacts, equations: Equations, s: Array, reach: float | Array
+) -> tuple[Array, System]:
+    """Forces (n, p, SLOTS) >= 0 of the contacts with gaps below `reach` that balance the load best, in the norm of the
+    mass matrix; the equations with them."""
+    active, lam = touching(contacts, reach), np.zeros(contacts.gap.shape)
+    bare = equations.assemble(pose, contacts, lam, s)
+    for i, rows in enumerate(active.reshape(len(s), -1)):
         if rows.any():
-            root = np.linalg.cholesky(np.linalg.inv(system.M[i])).T
-            lam[i, rows] = nnls(root @ system.G[i][rows].T, -root @ system.f[i])[0]
-    return lam
+            root = np.linalg.cholesky(np.linalg.inv(bare.M[i])).T
+            lam[i][active[i]] = nnls(root @ bare.G[i][rows].T, -root @ bare.f[i])[0]
+    return lam, equations.assemble(pose, contacts, lam, s)
 
 
 def polish(
@@ -134,21 +137,15 @@ def polish(
     """Newton on r = 0 and gap = 0 of all touching contacts; least-norm steps, so that a free mode stays where it is.
 
     Returns pose, forces (n, p, SLOTS), contacts and weighted residual R (n,). Converges quadratically from a pose near
-    an equilibrium whose touching contacts are known (tests/test_rve/test_equilibrium.py).
+    an equilibrium whose touching contacts are known.
     """
-    lam = np.zeros(())
     for step in range(steps + 1):
         contacts = equations.contacts(pose, options.reach)
-        active = touching(contacts, reach)
-        flat = active.reshape(len(s), -1)
-        lam = np.zeros(contacts.gap.shape)
-        bare = equations.assemble(pose, contacts, lam, s)
-        lam = contact_forces(bare, flat).reshape(contacts.gap.shape)
-        system = equations.assemble(pose, contacts, lam, s)
+        lam, system = contact_forces(pose, contacts, equations, s, reach)
         if step == steps:
             break
         dq = np.zeros(system.r.shape)
-        for i, rows in enumerate(flat):
+        for i, rows in enumerate(touching(contacts, reach).reshape(len(s), -1)):
             G = system.G[i][rows]
             size = len(G)
             A = np.block([[system.J[i], G.T], [G, np.zeros((size, size))]])

@@ -1,13 +1,8 @@
 """Two symmetries of the locked states of a weave: fewer coordinates, and contact forces that have the symmetry.
 
-Point inversion in the centre of a ring maps each class of rings on itself, the reflection z -> -z maps one class on the
-other. A cell with both has its second ring half-way between lattice points, c = (i a1 + j a2)/2, and its normals mirror
-images of each other: 5 of the 9 coordinates are left, and half of the pairs of rings, for the rest are their images.
-
-Where more contacts touch than the cell has coordinates, forces are not unique and the solver shares them by round-off;
-in symmetric coordinates they balance every ring, along z as well. The symmetry is not assumed: a locked state must
-satisfy all equations with all pairs, and must be stable against asymmetric motions. Otherwise the case is solved again
-with all coordinates.
+Point inversion in the centre of a ring maps each class of rings on itself, the reflection z -> -z one class on the
+other. A cell with both has its second ring at c = (i a1 + j a2)/2 and mirrored normals: 5 of the 9 coordinates and half
+of the pairs are left. A state that is found so must satisfy all equations and be stable against asymmetric motions.
 """
 
 from __future__ import annotations

@@ -1,19 +1,14 @@
 """The equilibrium equations of the periodic cell and their exact derivatives, batched over load cases.
 
-Unknown are the 9 reduced coordinates (4-in-1) and one force per contact:
-
     r = f(q) + G(q)^T lam = 0,    gap(q) >= 0,    lam >= 0,    lam gap = 0.
 
-f is a constant Cauchy line load s on the *current* cell: s.(a2y, -a2x) on a1 and s.(-a1y, a1x) on a2. It follows the
-deformation, so its derivative is unsymmetric. J = dr/dq holds load stiffness, contact curvature and the curvature of
-the lattice coordinates. Lengths are in units of r1 and forces in units of s r1. Another `CellLoad` may take its place:
-springs towards a given pose are in `spring`.
+Lengths are in units of r1 and forces in units of s r1.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Protocol
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -55,27 +50,14 @@ def weighted_size(f: Array, M: Array) -> Array:
     return np.sqrt(np.maximum(np.einsum("ni,ni->n", f, np.linalg.solve(M, f[..., None])[..., 0]), 0.0))
 
 
-class CellLoad(Protocol):
-    """What pulls at a cell; `s` holds one row of numbers per case whose meaning is the load's own. is_relative: whether
-    residuals are measured against its force, or against 1."""
-
-    @property
-    def is_relative(self) -> bool: ...
-
-    def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
-        """Generalised force (n, m) on the reduced coordinates and its derivative (n, m, m); T is reduction(pose)."""
-        ...
+Force = Callable[[Pose, Array, Array], tuple[Array, Array]]
+"""What pulls at a cell: force (n, m) on the reduced coordinates and its derivative (n, m, m), of a pose, its
+`reduction` T, and one row of numbers per case whose meaning is the load's own."""
 
 
-@dataclass(frozen=True)
-class CauchyLoad:
-    """The Cauchy line loads s (n, 3)."""
-
-    is_relative: bool = True
-
-    def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
-        """See CellLoad."""
-        return on_coordinates(lattice_load(pose, s)[1], pose, T)
+def cauchy_load(pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
+    """The `Force` of the Cauchy line loads s (n, 3)."""
+    return on_coordinates(lattice_load(pose, s)[1], pose, T)
 
 
 def on_coordinates(K: Array, pose: Pose, T: Array) -> tuple[Array, Array]:
@@ -95,7 +77,8 @@ def add_lattice_curvature(J: Array, on_lattice: Array) -> None:
 
 
 def lattice_load(pose: Pose, s: Array) -> tuple[Array, Array]:
-    """Generalised force (n, 4) on (a1, a2) of the Cauchy line load s (n, 3), and its derivative (n, 4, 4)."""
+    """Force (n, 4) of the Cauchy line load s (n, 3) on the lattice vectors of the *current* cell, s.(a2y, -a2x) on a1
+    and s.(-a1y, a1x) on a2, and its derivative (n, 4, 4), which is unsymmetric."""
     full = np.stack([s[:, [0, 1]], s[:, [1, 2]]], axis=1)
     K = np.zeros((len(s), 4, 4))
     K[:, :2, 2:] = full @ _TURN
@@ -138,8 +121,9 @@ class Equations:
 
     modes (m, k): motions as combinations of the m reduced coordinates; the identity leaves all of them free. middle
     (i, j): the second ring is kept at (i a1 + j a2)/2, so that modes of the lattice carry it along (`symmetry`).
-    far_pairs: pairs too far apart to touch are sampled as well; idle_curvature: J holds the curvature of contacts
-    without force as well. Both are for benchmarks: they cost time and change no result (docs/reports/omissions.md).
+    is_relative: residuals are measured against the load, not against 1. idle: contacts with no more force get no
+    curvature in J. far_pairs: pairs too far apart to touch are sampled as well, which changes no result
+    (docs/reports/omissions.md).
     """
 
     weave: Weave
@@ -147,16 +131,17 @@ class Equations:
     maps: Array
     mass: Array
     modes: Array
-    load: CellLoad = field(default_factory=CauchyLoad)
+    load: Force = cauchy_load
     middle: tuple[int, int] | None = None
+    is_relative: bool = True
+    idle: float = IDLE
     far_pairs: bool = False
-    idle_curvature: bool = False
 
     @staticmethod
-    def of(weave: Weave, wire: float, modes: Array | None = None, load: CellLoad | None = None) -> Equations:
+    def of(weave: Weave, wire: float, modes: Array | None = None, load: Force = cauchy_load) -> Equations:
         """Equations of a weave with wire radius r2/r1; by default all coordinates are free and a line load pulls."""
         free = np.eye(weave.coordinates) if modes is None else modes
-        return Equations(weave, wire, pair_maps(weave), mass_matrix(weave, wire), free, load or CauchyLoad())
+        return Equations(weave, wire, pair_maps(weave), mass_matrix(weave, wire), free, load)
 
     def contacts(self, pose: Pose, reach: float) -> CellContacts:
         """Every contact of these poses whose gap is below `reach` (in r1)."""
@@ -205,8 +190,8 @@ class Equations:
     def assemble(self, pose: Pose, contacts: CellContacts, lam: Array, s: Array) -> System:
         """Residual, derivatives and gradients at a pose for contact forces lam (n, p, SLOTS) and loads s (n, ...)."""
         n, T = len(s), reduction(pose)
-        f, J = self.load.force(pose, T, s)
-        G, bend = self.gap_derivatives(pose, contacts, T, lam, -1.0 if self.idle_curvature else IDLE)
+        f, J = self.load(pose, T, s)
+        G, bend = self.gap_derivatives(pose, contacts, T, lam, self.idle)
         r, J = f + np.matmul(lam.reshape(n, 1, -1), G)[:, 0], J + bend
         # The share of each contact force in the force on a1 and a2.
         flat = np.einsum("nps,npsx->npx", lam, contacts.normal[..., :2])
@@ -221,5 +206,5 @@ class Equations:
         f, M, J = np.matmul(Bt, f[..., None])[..., 0], Bt @ M @ B, Bt @ J @ B
         if self.middle is not None:
             add_lattice_curvature(J, 0.5 * np.concatenate([part * r[:, 3:5] for part in self.middle], axis=1))
-        size = weighted_size(f, M) if self.load.is_relative else np.ones(n)
+        size = weighted_size(f, M) if self.is_relative else np.ones(n)
         return System(np.matmul(Bt, r[..., None])[..., 0], f, J, G @ B, M, size)

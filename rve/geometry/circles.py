@@ -1,11 +1,9 @@
-"""Contact of two congruent tori: every local minimum of the distance of their centre circles.
+"""Contact of two congruent tori: every local minimum of the distance of their centre circles, radius r1.
 
-Ring A has its centre at the origin and unit normal n_a, ring B its centre at d and unit normal n_b; both centre circles
-have radius r1. Points on them are rho_a and d + rho_b, w = d + rho_b - rho_a joins them, D = |w|, and u = w / D is the
-contact normal, from A to B. The gap is D - 2 r2, negative in penetration. The leading axis is the pair or the contact.
-
-The distance of a point to a circle is closed form, so one angle is left: sample it, take every local minimum, polish by
-a safeguarded Newton iteration. A global minimum, or one alternating projection, would miss contacts.
+Ring A has its centre at the origin and unit normal n_a, ring B its centre at d and unit normal n_b. Points on them are
+rho_a and d + rho_b, w = d + rho_b - rho_a joins them, D = |w|, u = w / D is the contact normal, from A to B, the gap is
+D - 2 r2. The distance of a point to a circle is closed form, so one angle is left: sample it, take every local minimum,
+polish by a safeguarded Newton iteration.
 """
 
 from __future__ import annotations

@@ -1,16 +1,15 @@
-"""Contacts of a pose: all contacts of all pairs of rings of a cell, batched over load cases.
-
-A weave lists the pairs of rings that may touch; what is beyond them is looked at on demand."""
+"""Contacts of a pose: all contacts of all pairs of rings of a cell, batched over load cases."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement, product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common import Array, Rows
+from rve.common import Array, Flags, Index, Rows
 from rve.geometry.circles import Minima, are_linked, dot, foot_on_circle, local_minima
 from rve.geometry.pose import Pose, pair_geometry
 from rve.geometry.weave import Weave
@@ -29,14 +28,14 @@ class CellContacts(Rows):
     centres of ring a and ring b; normal (n, p, SLOTS, 3): from a to b; links_intact (n,).
     """
 
-    present: NDArray[np.bool_]
+    present: Flags
     gap: Array
     distance: Array
     curvature: Array
     rho: Array
     rho_b: Array
     normal: Array
-    links_intact: NDArray[np.bool_]
+    links_intact: Flags
 
     @property
     def minima(self) -> Minima:
@@ -95,7 +94,7 @@ def gap_bound(contacts: CellContacts, pose: Pose, weave: Weave, wire: float) -> 
     return np.asarray(gap.reshape(len(gap), -1).min(axis=1))
 
 
-def can_touch(d: Array, limit: float) -> NDArray[np.bool_]:
+def can_touch(d: Array, limit: float) -> Flags:
     """Whether circles of radius 1 with offsets d (..., 3) can come as near as `limit`."""
     return np.asarray(dot(d, d) < (2.0 + limit) ** 2)
 
@@ -122,22 +121,17 @@ def unlisted_pairs(weave: Weave) -> Weave:
     listed = {tuple(pair) for pair in weave.pairs.tolist()}
     listed |= {(b, a, -i, -j) for a, b, i, j in listed}
     nx, ny = (-(-SHELL // count) for count in weave.repeat)
-    found = []
-    for a in range(weave.classes):
-        for b in range(a, weave.classes):
-            for i in range(-nx, nx + 1):
-                for j in range(-ny, ny + 1):
-                    is_new = (a, b, i, j) not in listed and (a < b or (i, j) > (0, 0))
-                    found += [(a, b, i, j)] if is_new else []
+    shifts = list(product(range(-nx, nx + 1), range(-ny, ny + 1)))
+    every = [(a, b, *shift) for a, b in combinations_with_replacement(range(weave.classes), 2) for shift in shifts]
+    found = [(a, b, i, j) for a, b, i, j in every if (a, b, i, j) not in listed and (a < b or (i, j) > (0, 0))]
     return replace(weave, pairs=np.array(found, dtype=int).reshape(-1, 4), linked=np.zeros(len(found), dtype=bool))
 
 
 def widened(weave: Weave) -> Weave:
     """The weave with all its pairs up to `SHELL` primitive cells apart listed."""
-    rest = unlisted_pairs(weave)
-    return replace(
-        weave, pairs=np.concatenate([weave.pairs, rest.pairs]), linked=np.concatenate([weave.linked, rest.linked])
-    )
+    both = weave, unlisted_pairs(weave)
+    pairs, linked = np.concatenate([one.pairs for one in both]), np.concatenate([one.linked for one in both])
+    return replace(weave, pairs=pairs, linked=linked)
 
 
 def unlisted_gap(pose: Pose, weave: Weave, wire: float) -> Array:
@@ -151,6 +145,6 @@ def unlisted_gap(pose: Pose, weave: Weave, wire: float) -> Array:
     return np.asarray(bound)
 
 
-def pairs_in_reach(pose: Pose, weave: Weave, wire: float, reach: float) -> NDArray[np.intp]:
+def pairs_in_reach(pose: Pose, weave: Weave, wire: float, reach: float) -> Index:
     """How many listed pairs of each pose are near enough to be sampled, (n,)."""
     return np.asarray(can_touch(pair_geometry(pose, weave)[0], 2.0 * wire + reach).sum(axis=1))

@@ -1,10 +1,8 @@
-"""The periodic cell: rings, pose, generalised coordinates, and the contacts of a pose.
+"""The pose of a periodic cell in units of r1, and its coordinates.
 
-Internally lengths are in units of r1, so results are free of units. The generalised velocity of a cell with K classes
-is (a1 (2), a2 (2), c_1 .. c_{K-1} (2 each), omega_0 .. omega_{K-1} (3 each)): 12 numbers for K = 2. The reduced one is
-(x2, y3, t = tan gamma; centres; two tilts per ring): 9 numbers for K = 2. The rotation rule (5) has removed one, and
-the spin of a torus about its own axis is no coordinate at all. Centres have two components, or three where the weave
-leaves them free across the plane.
+Generalised velocities of K classes: a1 (2), a2 (2), c_1 .. c_{K-1} (2 each), omega_0 .. omega_{K-1} (3 each). Reduced
+ones: x2, y3, t = tan gamma; centres; two tilts per ring, 9 for K = 2: the rotation rule (5) has removed one, and the
+spin of a torus about its axis is none. Centres have three components where the weave leaves them free across the plane.
 """
 
 from __future__ import annotations

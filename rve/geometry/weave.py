@@ -1,7 +1,6 @@
 """Weaves: which rings a periodic cell has, which of them link, and where a slack cell starts.
 
-All rings with the same class are lattice translates of each other. Class 0 sits at the origin, class k at c_k, and ring
-(k, i, j) at c_k + i a1 + j a2. A weave holds no radii: poses are in units of the centre-circle radius r1.
+Rings of one class are lattice translates: ring (k, i, j) is at c_k + i a1 + j a2, c_0 = 0. Lengths are in r1.
 """
 
 from __future__ import annotations

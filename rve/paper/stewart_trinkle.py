@@ -1,11 +1,9 @@
 """The paper's scheme: a damped rigid-body motion into the locked state, eqs. (6)-(10), batched over load cases.
 
 Each step solves the linear implicit equations of Stewart and Trinkle (doi 10.1002/(SICI)1097-0207(19960815)39:15) for
-the velocity at its end: inertia, damping, the line load at its beginning and compliant unilateral contacts linearised
-there. This is the periodic form: bilateral constraints (4), (5) and the supports are eliminated, v = T(q) u has 9 free
-numbers. Ring velocities, not u, are carried from step to step, so the centrifugal terms of the curved coordinates are
-in M (T u - v). Gyroscopic torques vanish: frictionless contacts never spin a torus about its own axis.
-`tests/test_rve/ten_rings.py` is the reference form with every constraint written out.
+the velocity at its end. This is the periodic form: constraints (4), (5) and supports are eliminated. Ring velocities,
+v = T(q) u, are carried from step to step, so the centrifugal terms of the curved coordinates are in M (T u - v);
+gyroscopic torques vanish. `tests/test_rve/ten_rings.py` is the reference form with every constraint written out.
 """
 
 from __future__ import annotations

@@ -1,15 +1,11 @@
 """Plastic collapse of rings: the largest load for which moments within yield balance it (static theorem).
 
 A section yields where (M_r^2 + M_z^2)/M_p^2 + M_t^2/T_p^2 = 1, with M_p = 4/3 r2^3 sigma_y and
-T_p = 2 pi/3 r2^3 sigma_y/sqrt(3). Axial and shear force are left out: they lower the load by about (N/N_p)^2, 1 % at
-r1/r2 = 10 and less for thinner wire. The six self-stresses of each ring are free. Maximising the load is a cone program
-in a few unknowns, solved by Newton's method with a logarithmic barrier for all rings at once. With its round yield
-surface replaced by planes it is the linear program of plastic hinges (tests/test_rve/test_ring_collapse.py).
+T_p = 2 pi/3 r2^3 sigma_y/sqrt(3); axial and shear force are left out, 1 % at r1/r2 = 10 and less for thinner wire. The
+six self-stresses of each ring are free.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,14 +24,6 @@ _GROWTH = 30.0
 _CENTRED = 1.0
 
 
-@dataclass(frozen=True)
-class Limits:
-    """The largest factors (n,) on loads: `factor` is safe, the exact one is at most `upper`; nan where not found."""
-
-    factor: Array
-    upper: Array
-
-
 def plastic_collapse(
     phi: Array,
     forces: Array,
@@ -45,27 +33,28 @@ def plastic_collapse(
     joint: Array | None = None,
     tolerance: float = 1e-6,
     steps: int = 400,
-) -> Limits:
-    """The factors (n,) on forces (n, m, 3) at phi (n, m), local axes, in balance, at which rings become mechanisms.
+) -> tuple[Array, Array]:
+    """The factors (n,) on forces (n, m, 3) at phi (n, m), local axes, in balance, at which rings become mechanisms:
+    safe ones, and what they are at most.
 
-    joint (n,): the angle at which butted rings are open, None for welded ones. `factor` and `upper` of the result
-    differ by less than `tolerance`, relative. InputError for a tolerance below round-off, NotConverged if `steps` steps
-    of Newton's method do not suffice.
+    joint (n,): the angle at which butted rings are open, None for welded ones. Both factors differ by less than
+    `tolerance`, relative. InputError for a tolerance below round-off, NotConverged if `steps` steps of Newton's method
+    do not suffice.
 
     >>> pull = np.array([[[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]])
-    >>> found = plastic_collapse(np.array([[0.0, np.pi]]), pull, Ring(5.0, 0.5, 2e5, 0.3), 400.0)
+    >>> factor, _ = plastic_collapse(np.array([[0.0, np.pi]]), pull, Ring(5.0, 0.5, 2e5, 0.3), 400.0)
     >>> hinges = 4.0 * 4.0 / 3.0 * 0.5**3 * 400.0 / 5.0  # four hinges: 4 M_p/R
-    >>> bool(abs(found.factor[0] / hinges - 1.0) < 1e-6)
+    >>> bool(abs(factor[0] / hinges - 1.0) < 1e-6)
     True
     """
     if not 1e-9 <= tolerance <= 0.1:
         raise InputError(f"tolerance = {tolerance}: must lie between 1e-9 and 0.1")
     base, free = relative_moments(phi, forces, ring, joint)
-    found = largest_factors(base, free, tolerance=tolerance, steps=steps)
-    lost = np.count_nonzero(np.isnan(found.factor))
+    factor, upper = largest_factors(base, free, tolerance=tolerance, steps=steps)
+    lost = np.count_nonzero(np.isnan(factor))
     if lost:
         raise NotConverged(f"the plastic collapse of {lost} of {len(phi)} rings was not found in {steps} steps")
-    return Limits(found.factor * yield_N_per_mm2, found.upper * yield_N_per_mm2)
+    return factor * yield_N_per_mm2, upper * yield_N_per_mm2
 
 
 def checked_sections(phi: Array) -> Array:
@@ -85,11 +74,11 @@ def relative_moments(phi: Array, forces: Array, ring: Ring, joint: Array | None)
 
 def largest_factors(
     base: Array, free: Array, signs: Array | None = None, tolerance: float = 1e-4, steps: int = 400
-) -> Limits:
-    """The largest mu (n,) with |mu base + free x| <= 1 at every section and signs (mu, x) >= 0.
+) -> tuple[Array, Array]:
+    """The largest mu (n,) with |mu base + free x| <= 1 at every section and signs (mu, x) >= 0: safe, and at most.
 
-    base (n, k, 3), free (n, k, 3, v), signs (n, h, 1 + v), whose first column is positive. nan where `steps` steps of
-    Newton's method do not suffice; most cases take 30.
+    base (n, k, 3), free (n, k, 3, v), signs (n, h, 1 + v), whose first column is positive. Newton's method with a
+    logarithmic barrier; nan where `steps` steps do not suffice, most cases take 30.
     """
     J = np.moveaxis(np.concatenate([base[..., None], free], axis=3), 2, 1).copy()
     scale = np.abs(J).max(axis=(1, 2))
@@ -115,7 +104,7 @@ def largest_factors(
     size = np.sqrt((_moments(J, y) ** 2).sum(axis=1))
     upper, factor = (2.0 * size / (1.0 - size**2)).sum(axis=1) / sharp, y[:, 0] / size.max(axis=1)
     factor[go] = np.nan
-    return Limits(factor / scale[:, 0], np.maximum(upper, factor) / scale[:, 0])
+    return factor / scale[:, 0], np.maximum(upper, factor) / scale[:, 0]
 
 
 def _moments(J: Array, y: Array) -> Array:
@@ -148,9 +137,8 @@ def _length(J: Array, H: Array, y: Array, step: Array, sharp: Array) -> Array:
     g, dg = np.matmul(H, y[..., None])[..., 0], np.matmul(H, step[..., None])[..., 0]
     start = _barrier(m, g) - sharp * y[:, 0]
     for _ in range(40):
-        there = (
-            _barrier(m + size[:, None, None] * dm, g + size[:, None] * dg) - sharp * (y + size[:, None] * step)[:, 0]
-        )
+        there = _barrier(m + size[:, None, None] * dm, g + size[:, None] * dg)
+        there -= sharp * (y + size[:, None] * step)[:, 0]
         worse = ~(there <= start + 1e-12 * np.abs(start))
         if not worse.any():
             break

@@ -1,9 +1,8 @@
 """Internal forces and flexibility of a closed circular ring under point forces: exact for the curved beam.
 
-A point force is a Fourier series along the ring. Every order n >= 2 is self-balanced and decides its own section
-forces by equilibrium alone; the sums are closed (`sums`, `squares`). The rigid part of a force (resultant and moment)
-is spread over the ring in the orders 0 and 1 and drops out where all forces of a ring balance. Forces (..., 3) are in
-the local axes r, t, z of their point; angles are in radians; section forces are ordered as in `rve.ring.section`.
+A point force is a Fourier series along the ring; every order n >= 2 is self-balanced, and the sums are closed. The
+rigid part of a force is spread over the ring in the orders 0 and 1 and drops out where the forces of a ring balance.
+Forces (..., 3) are in the local axes r, t, z of their point; section forces are ordered as in `rve.ring.section`.
 """
 
 from __future__ import annotations

@@ -45,8 +45,8 @@ def pulled_ring(r1: float, r2: float, material: Material = STEEL, joint: str = "
     angles = Joint.of(joint).angles_deg
     phi, pull = np.array([[0.0, np.pi]]), np.tile([1.0, 0.0, 0.0], (1, 2, 1))
     at: list[Array | None] = [np.radians([angle]) for angle in angles] or [None]
-    peaks = np.array([peak_stress(phi, pull, ring, joint=x).stress[0] for x in at])
-    loads = [plastic_collapse(phi, pull, ring, stress, joint=x).factor[0] for x in at]
+    peaks = np.array([peak_stress(phi, pull, ring, x)[0][0] for x in at])
+    loads = [plastic_collapse(phi, pull, ring, stress, joint=x)[0][0] for x in at]
     opening = [flexibility(phi, pull, ring.curved(), x).sum() for x in at]
     worst = int(peaks.argmax())
     open_at = angles[worst] if angles else None

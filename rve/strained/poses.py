@@ -162,7 +162,7 @@ def _settled(E: Array, cell: Cell, options: PoseOptions, states: LockedArrangeme
     for stage, (fold, weak, first, last) in enumerate(_LADDER):
         springs = Spring(states.sides, fold, weak)
         # Weak springs leave weak contact forces, whose curvature counts all the same.
-        equations = replace(Equations.of(cell.weave, cell.wire, load=springs), idle_curvature=True)
+        equations = replace(Equations.of(cell.weave, cell.wire, load=springs), is_relative=False, idle=-1.0)
         quick = replace(options.direct, mu_start=first, mu_end=last, attempts=1, max_iterations=50)
         with part_of(f"stage {stage + 1}", stage / len(_LADDER), (stage + 1) / len(_LADDER)):
             found = follow(rows, equations, replace(quick, tolerance=max(last, 1e-9)), start)
@@ -180,10 +180,9 @@ class Spring:
     sides: tuple[float, float]
     fold: float = 1.0
     weak: float = 1e-5
-    is_relative: bool = False
 
-    def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
-        """See `rve.equilibrium.system.CellLoad`."""
+    def __call__(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
+        """The `rve.equilibrium.system.Force`."""
         n, k = pose.normals.shape[:2]
         f, J = np.zeros((n, T.shape[2])), np.zeros((n, T.shape[2], T.shape[2]))
         E, dE, ddE = lattice_strain(pose.lattice, self.sides)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from benchmarks.problems import normality
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
-from rve.equilibrium.limits import contact_forces, polish, touching
+from rve.equilibrium.limits import contact_forces, polish
 from rve.equilibrium.steps import accept_step
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
@@ -76,9 +76,7 @@ def test_equilibrium_by_its_own_equations():
     found, s = block.found, block.s
     equations = Equations.of(FOUR_IN_ONE, cell.wire)
     contacts = find_contacts(found.pose, FOUR_IN_ONE, cell.wire, 0.6)
-    bare = equations.assemble(found.pose, contacts, np.zeros(contacts.gap.shape), s)
-    lam = contact_forces(bare, touching(contacts, 1e-8).reshape(len(s), -1))
-    balanced = equations.assemble(found.pose, contacts, lam.reshape(contacts.gap.shape), s)
+    lam, balanced = contact_forces(found.pose, contacts, equations, s, 1e-8)
     assert balanced.weighted_residual.max() < 1e-9
     assert lam.min() >= 0.0
     assert contacts.links_intact.all()

@@ -268,5 +268,5 @@ def test_joints_are_where_they_are_said_to_be():
     for k in range(2):
         phi, direction, contact = ends.on(k)
         push = np.take_along_axis(forces, contact, axis=1)[..., None] * direction
-        highest.append(peak_stress(phi, push, RING, joint=ends.joints(0.0)[:, k]).stress[0])
+        highest.append(peak_stress(phi, push, RING, joint=ends.joints(0.0)[:, k])[0][0])
     assert states.first_yield[0] == pytest.approx(max(highest), rel=1e-9)

@@ -41,7 +41,7 @@ def test_force_and_stiffness_are_derivatives_of_the_energy(weave):
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
     parts = (rng.uniform(-0.3, 0.3, (CASES, 3)), rng.uniform(0.0, 1.0, (CASES, 2 * (k - 1))), normals)
     rows = np.concatenate([part.reshape(CASES, -1) for part in parts], axis=1)
-    f, J = SPRING.force(pose, reduction(pose), rows)
+    f, J = SPRING(pose, reduction(pose), rows)
     step = h * np.eye(m)
 
     def at(v):

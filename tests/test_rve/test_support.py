@@ -42,7 +42,7 @@ def test_the_dead_load_is_the_gradient_of_its_work_and_its_jacobian_is_symmetric
 
     def at(v):
         there = moved(pose, v[None])
-        f, J = DeadLoad(sides).force(there, reduction(there), S)
+        f, J = DeadLoad(sides)(there, reduction(there), S)
         return sides[0] * sides[1] * double_dot(S, strain_of(there, sides))[0], f[0], J[0]
 
     step = 1e-5
