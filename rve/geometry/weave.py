@@ -5,12 +5,11 @@ Rings of one class are lattice translates: ring (k, i, j) is at c_k + i a1 + j a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rve.common import Array
+from rve.common import Array, Flags, Index
 
 
 @dataclass(frozen=True, repr=False)
@@ -20,17 +19,16 @@ class Weave:
     pairs (m, 4): class of ring a, class of ring b, lattice shift (i, j) of ring b; every contact that can occur, each
     once. linked (m,): which of them interlink. rings (n, 3): class and shift of the rings whose mass weighs the
     residual (the ten rings of the paper for 4-in-1). The slack start pose, in units of r1: start_lattice (3,) = x2, y3,
-    tan gamma; start_centres (K, 2); start_normals (K, 3). is_mirrored: start pose and pairs are their own mirror image
-    in x, so that (alpha, beta) and (-alpha, beta) are one load and the reference cell is a rectangle.
-    jamming_ratio: r1/r2 below which no slack pose exists. planar_ratio: r1/r2 up to which no larger cell was found to
-    do more work than the planar primitive cell (docs/theory.md, 4). repeat: primitive cells along a1 and a2. Start
-    centres (K, 3) leave the centres of the rings free across the plane as well (`centres` is then "space").
+    tan gamma; start_centres (K, 2), or (K, 3) where centres may leave the plane; start_normals (K, 3). is_mirrored:
+    start pose and pairs are their own mirror image in x, so that (alpha, beta) and (-alpha, beta) are one load and the
+    reference cell is a rectangle. jamming_ratio: r1/r2 below which no slack pose exists. planar_ratio: r1/r2 up to
+    which no larger cell was found to do more work than the planar primitive cell. repeat: primitive cells along a1, a2.
     """
 
     name: str
-    pairs: NDArray[np.intp]
-    linked: NDArray[np.bool_]
-    rings: NDArray[np.intp]
+    pairs: Index
+    linked: Flags
+    rings: Index
     start_lattice: Array
     start_centres: Array
     start_normals: Array
@@ -68,9 +66,7 @@ class Weave:
         return "space" if self.start_centres.shape[1] == 3 else "plane"
 
 
-def _two_rows(
-    links: set[tuple[int, int]], reach: int, same: tuple[tuple[int, int], ...]
-) -> tuple[NDArray[np.intp], NDArray[np.bool_], NDArray[np.intp]]:
+def _two_rows(links: set[tuple[int, int]], reach: int, same: tuple[tuple[int, int], ...]) -> tuple[Index, Flags, Index]:
     """Pairs, links and weighing rings of rows A, B, A, B ...: ring A links the B rings at the shifts `links`."""
     pairs = [(0, 1, i, j) for i in range(-reach, reach) for j in range(-2, 2)]
     pairs += [(k, k, i, j) for k in range(2) for i, j in same]
@@ -131,16 +127,13 @@ def supercell(weave: Weave, nx: int, ny: int, centres: str = "plane") -> Weave:
     x2, y3, t = weave.start_lattice
     a1, a2 = np.array([x2, t * x2]), np.array([t * y3, y3])
     places = np.array([centre[:2] + ix * a1 + iy * a2 for ix, iy in cells for centre in weave.start_centres])
-    return Weave(
-        weave.name,
-        np.array(pairs),
-        np.repeat(weave.linked, len(cells)),
-        np.array([(k, i, j) for k in range(count * nx * ny) for i in range(2) for j in range(2)]),
-        np.array([nx * x2, ny * y3, t]),
-        np.pad(places, ((0, 0), (0, 1 if centres == "space" else 0))),
-        np.tile(weave.start_normals, (len(cells), 1)),
-        weave.is_mirrored,
-        weave.jamming_ratio,
-        weave.planar_ratio,
-        (nx * weave.repeat[0], ny * weave.repeat[1]),
+    return replace(
+        weave,
+        pairs=np.array(pairs),
+        linked=np.repeat(weave.linked, len(cells)),
+        rings=np.array([(k, i, j) for k in range(count * nx * ny) for i in range(2) for j in range(2)]),
+        start_lattice=np.array([nx * x2, ny * y3, t]),
+        start_centres=np.pad(places, ((0, 0), (0, 1 if centres == "space" else 0))),
+        start_normals=np.tile(weave.start_normals, (len(cells), 1)),
+        repeat=(nx * weave.repeat[0], ny * weave.repeat[1]),
     )
