@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from unittest.mock import patch
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from benchmarks.problems import Array, loads
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
 from rve.equilibrium.symmetry import solve_equilibrium_symmetric
 from rve.equilibrium.system import Equations
+from rve.geometry import contacts
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import pairs_in_reach, unlisted_gap, widened
 from rve.geometry.kinematics import cauchy_line_load
@@ -54,11 +56,12 @@ def solved(cell: Cell, s: Array, feature: str = "") -> Equilibrium:
     """Locked states under the line loads s (n, 3), with one feature switched on."""
     weave = widened(cell.weave) if feature == "unlisted-pairs" else cell.weave
     equations = Equations.of(weave, cell.wire)
-    idle = -1.0 if feature == "idle-curvature" else equations.idle
-    varied = replace(equations, far_pairs=feature == "far-pairs", idle=idle)
     if feature == "asymmetry":
-        return solve_equilibrium(s, varied)
-    return solve_equilibrium_symmetric(s, varied, DirectOptions())
+        return solve_equilibrium(s, equations)
+    varied = replace(equations, idle=-1.0) if feature == "idle-curvature" else equations
+    touch = (lambda d, limit: np.full(d.shape[:-1], True)) if feature == "far-pairs" else contacts.can_touch
+    with patch.object(contacts, "can_touch", touch):
+        return solve_equilibrium_symmetric(s, varied, DirectOptions())
 
 
 def forced(feature: str, name: str, cell: Cell, plain: tuple[Equilibrium, float], s: Array) -> Row:

@@ -12,7 +12,7 @@ from scipy.optimize import NonlinearConstraint, minimize
 
 from rve.equilibrium.system import Equations
 from rve.geometry.circles import local_minima, tangent_frame
-from rve.geometry.distance import distance_gradient
+from rve.geometry.contacts import distance_gradient
 from rve.geometry.pose import Pose, pair_geometry, start_pose
 
 Array = NDArray[np.float64]

@@ -22,12 +22,11 @@ from rve.geometry.weave import Weave
 
 MARGINS = (1e-4, 1e-6)
 """Gaps of a restart in r1, tried in turn. Wider ones converge faster, but may slide into a state of less work."""
-TOLERANCE = 1e-10
-"""Residual of restarts: states on the verge of giving way converge linearly in the last digits."""
-MU_END = 1e-12
-"""Last complementarity of loads that stall at first: round-off of merging contacts allows no less."""
 NEAR_MARGIN = 1e-3
 """Gaps of restarts from near loads: they need not climb from where they start."""
+TOLERANCE, MU_END = 1e-10, 1e-12
+"""Residual and last complementarity of restarts: states on the verge of giving way converge linearly in the last
+digits, and round-off of merging contacts allows no smaller gaps."""
 STARTS = 16
 """Random starts of the loads of one vicinity together; docs/theory.md, 4 has the hit rate."""
 WALK, STRIDE = 20, 0.12
@@ -37,25 +36,22 @@ START_GAP = 1e-3
 PROBE, SAME_STRAIN = 1e-4, 5e-3
 """Complementarity mu at which a path is compared with the state that is known, and the difference of strains up to
 which it leads there."""
-PROBE_PATIENCE = 5
-"""Iterations without progress after which mu is lowered there: paths that wander hold up the batch."""
-PROBE_STEPS = 50
-"""Iterations, beyond the 50 that every dead load gets, after which a path to mu = PROBE is left; few take as many."""
+PROBE_PATIENCE, PROBE_STEPS = 5, 50
+"""Patience on the way to mu = PROBE, and iterations beyond the 50 that every dead load gets: paths that wander hold up
+the batch."""
 MIN_GAIN = 0.5
 """Contacts by which the work on a path must be nearer to that of the known state than a path to equal work would be."""
 
 
 @dataclass(frozen=True)
 class DeadLoad:
-    """The dead loads S (n, 3), in weave axes, on a reference cell with sides (b1, b2) in r1.
-
-    The potential of a cell is b1 b2 S:E, so the force on a1 is b1 b2 (S11 a1/b1^2 + S12 a2/(b1 b2)).
+    """The `Force` of dead loads S (n, 3), weave axes, on a reference cell with sides (b1, b2) in r1: the potential is
+    b1 b2 S:E, so the force on a1 is b1 b2 (S11 a1/b1^2 + S12 a2/(b1 b2)).
     """
 
     sides: tuple[float, float]
 
     def __call__(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
-        """The `Force`."""
         b1, b2 = self.sides
         A = np.stack([s[:, 0] * b2 / b1, s[:, 1], s[:, 1], s[:, 2] * b1 / b2], axis=1).reshape(-1, 2, 2)
         return on_coordinates(np.asarray(np.kron(A, np.eye(2)), dtype=float), pose, T)
@@ -90,8 +86,7 @@ def solve_dead(S: Array, equations: Equations, options: DirectOptions, start: Po
     """Locked states under the dead loads S (n, 3) from the slack pose of the weave, or from `start` (n poses with
     positive gaps); equations with a `DeadLoad`.
 
-    The force of a dead load grows with the stretch, so mu falls slowly from the first attempt on: by 3/10 all but a few
-    of the loads converge, by 1/10 a third of them stall at r1/r2 = 50. Just inside rank one the weak second load moves
+    The force of a dead load grows with the stretch, so mu falls slowly. Just inside rank one the weak second load moves
     the cell along a curved valley, which steps with second-order corrections follow: they are tried next.
     """
     first = _unrejected(options, shrink=0.3, max_iterations=options.max_iterations + 50)
@@ -111,15 +106,12 @@ def _patient(options: DirectOptions) -> DirectOptions:
 
 def _unrejected(options: DirectOptions, **changed: Any) -> DirectOptions:
     """One attempt that takes back no step and ends where round-off of merging contacts begins."""
-    ended = replace(options, attempts=1, power=1.0, rejection=NEVER, mu_end=max(MU_END, options.mu_end))
-    return replace(ended, **changed)
+    return replace(options, attempts=1, power=1.0, rejection=NEVER, mu_end=max(MU_END, options.mu_end), **changed)
 
 
 def open_gaps(pose: Pose, equations: Equations, margin: float, reach: float) -> Pose:
-    """The poses with all gaps raised to about `margin` (in r1) by the shortest motions that do so to first order.
-
-    Locked rings touch, and an interior point needs room. Motions are found by Lawson and Hanson's least distance
-    programming. A pose that cannot be opened is left as it is.
+    """The poses with all gaps raised to about `margin` (in r1) by the shortest motions that do so to first order, by
+    Lawson and Hanson's least distance programming. A pose that cannot be opened is left as it is.
     """
     for _ in range(6):
         contacts = equations.contacts(pose, reach)
@@ -142,8 +134,8 @@ def open_gaps(pose: Pose, equations: Equations, margin: float, reach: float) -> 
 
 def restart(loads: Array, equations: Equations, start: Pose, margin: float, options: DirectOptions) -> Equilibrium:
     """Locked states under `loads` (n, 3) from the locked poses `start`, whose gaps are first opened to `margin`."""
-    near = _unrejected(options, mu_start=margin, shrink=0.3, max_iterations=min(90, options.max_iterations))
-    near = replace(near, tolerance=max(options.tolerance, TOLERANCE))
+    least, most = max(options.tolerance, TOLERANCE), min(90, options.max_iterations)
+    near = _unrejected(options, mu_start=margin, shrink=0.3, max_iterations=most, tolerance=least)
     return follow(unit_loads(loads), equations, near, open_gaps(start, equations, margin, options.reach))
 
 
@@ -161,15 +153,12 @@ def restart_patiently(
 
 
 def follow_promising(S: Array, E: Array, mesh: LoadedCell, start: Pose) -> tuple[Index, Equilibrium]:
-    """Cases whose paths under the dead loads S (n, 3) of unit trace promise more work than the strains E, and their
-    ends.
-
-    Paths are followed to mu = `PROBE` from `start`, and to the end where they promise more: on a path every loaded
-    contact (lam > gap) takes mu from the work at the end, to first order.
+    """Cases whose paths from `start` under the dead loads S (n, 3) of unit trace promise more work than the strains E,
+    and their ends. On a path every loaded contact (lam > gap) takes mu from the work at the end, to first order.
     """
     once = replace(mesh.options, attempts=1)
-    probe = replace(once, mu_end=PROBE, tolerance=PROBE, patience=min(PROBE_PATIENCE, once.patience))
-    probe = replace(probe, max_iterations=min(PROBE_STEPS, once.max_iterations))
+    patience, most = min(PROBE_PATIENCE, once.patience), min(PROBE_STEPS, once.max_iterations)
+    probe = replace(once, mu_end=PROBE, tolerance=PROBE, patience=patience, max_iterations=most)
     path = solve_dead(S, mesh.dead, probe, start)
     short = E - mesh.strain(path.pose)
     far = np.abs(short).max(axis=1) > SAME_STRAIN
@@ -181,9 +170,8 @@ def follow_promising(S: Array, E: Array, mesh: LoadedCell, start: Pose) -> tuple
 
 
 def random_poses(equations: Equations, count: int) -> Pose:
-    """Admissible poses (count,) that random walks of seeded steps reach from the slack pose, the same in every call.
-
-    They are `STARTS` poses in turn. Steps that would make rings overlap or pass through each other are left out.
+    """Admissible poses (count,), `STARTS` in turn, that random walks reach from the slack pose, the same in every call.
+    Steps that would make rings overlap or pass through each other are left out.
     """
     rng, pose = np.random.default_rng(0), start_pose(equations.weave, STARTS)
     shape, stride = (STARTS, equations.modes.shape[1]), np.full((STARTS, 1), STRIDE)

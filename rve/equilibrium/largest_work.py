@@ -32,15 +32,13 @@ from rve.geometry.pose import Pose, mirrored, moved, tiled
 
 GAIN = 1e-9
 """Work at unit trace of S by which a state must exceed another to count as a better one; round-off leaves 1e-12."""
-WORK_NOISE = 1e-7
-"""Smaller differences in work are rounding; see SAME_BRANCH_RATIO."""
 NEIGHBOURS, NEAR = 8, 0.25
 """The locked states of so many loads nearest to a load are compared with its own, up to this distance in the disc of
 loads of unit trace."""
-SAME_BRANCH_RATIO = 0.5
+WORK_NOISE, SAME_BRANCH_RATIO = 1e-7, 0.5
 """Two states i, j of one smooth branch lose about the same work under each other's load: S_i:(E_i - E_j) and
-S_j:(E_j - E_i) agree to second order in the distance. Where one is less than this share of the other, i is restarted
-from j. A tenth of the pairs is, and at r1/r2 = 50 all that lead to a state of more work are among them."""
+S_j:(E_j - E_i) agree to second order in the distance. Where one is above the noise and the other less than this share
+of it, i is restarted from j."""
 ROUNDS = 6
 """Rounds of restarts at most; a load that is still below a known state then has the status "below"."""
 VICINITY = 0.15
@@ -49,10 +47,8 @@ NO_WORK = 1e6
 """Minus this stands for the work of a load for which no state is known."""
 TOUCHING = 1e-6
 """Gap in r1 below which a contact may carry force in a locked state; working ones end at 1e-13 over their force."""
-UNSTABLE = -1e-6
-"""Stiffness in s r1^2 below which a motion gives way; round-off leaves 1e-8."""
-MODES = 3
-"""Motions of a state that are followed, those of least stiffness."""
+UNSTABLE, MODES = -1e-6, 3
+"""Stiffness in s r1^2 below which a motion gives way, and how many of a state are followed, the softest ones."""
 PUSH, DISTURBED = 0.06, 0.2
 """Largest displacement of a start along a motion, and of one at random, in radii of the wire: none passes another."""
 
@@ -75,8 +71,7 @@ class KnownStates(Rows):
 @dataclass(frozen=True)
 class Largest:
     """Locked states of largest work under the loads S (n, 3) of unit trace: equilibria; h (n,), -inf where there is
-    none; branch (n,): "slack", "random", "neighbour" or "restart"; works: per load the works S:E, in ascending order,
-    of the states that were found under it.
+    none; branch (n,): "slack", "random", "neighbour" or "restart"; works: per load, ascending, S:E of all its states.
     """
 
     mesh: LoadedCell
@@ -121,10 +116,9 @@ def largest(
 ) -> Largest:
     """The states of largest work under the dead loads S (n, 3) of unit trace, weave axes.
 
-    From the slack pose first; then from random admissible poses; then from the states of the nearest loads, those of
-    `known` included; then, where a state of another load does more work, from that state, until none does. With
-    options.branches = "first" the states reached from the slack pose are all. company: further known states, reached
-    from the slack pose only.
+    From the slack pose first, which is all for options.branches = "first"; then from random admissible poses; then from
+    the states of the nearest loads, those of `known` and `company` (reached from the slack pose only) included; then,
+    where a state of another load does more work, from that state, until none does.
     """
     found = solve_dead(S, mesh.dead, mesh.options)
     best = Largest.of(mesh, S, found).raised(np.arange(len(S)), found, "slack")
@@ -205,10 +199,7 @@ def in_cell(found: Equilibrium, s: Array, equations: Equations, reach: float) ->
 
 
 def balanced(pose: Pose, s: Array, equations: Equations, reach: float) -> Equilibrium:
-    """Locked poses as equilibria under the loads s (n, 3), with nonnegative forces that balance every ring in space.
-
-    The solver leaves the balance across the plane open where centres stay in it.
-    """
+    """Locked poses as equilibria under the loads s (n, 3), with nonnegative forces that balance every ring in space."""
     contacts, none = equations.contacts(pose, reach), np.zeros(len(s), dtype=int)
     lam, system = contact_forces(pose, contacts, equations, s, TOUCHING)
     status = np.full(len(s), "converged", dtype="<U16")

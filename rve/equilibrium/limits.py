@@ -9,10 +9,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from rve.common import Array
+from rve.common import Array, Flags
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
 from rve.equilibrium.system import Equations, System
 from rve.geometry.contacts import CellContacts
@@ -20,25 +19,23 @@ from rve.geometry.pose import Pose, moved
 
 _SIZES = 1.6e-2 * 0.5 ** np.arange(7)
 """Second principal loads over the first, by which the limit is approached; more of them get nearer and take longer."""
+SOFT = 1e-8
+"""A stiffness below this, in s r1^2, is none to round-off."""
 _WEIGHTS = np.array([1.0, -6.0, 8.0]) / 3.0
 """Extrapolate values at d, d/2 and d/4 to zero with an error of third order."""
 
 
-def strain_is_unique(equations: Equations, found: Equilibrium, s: Array, tolerance: float = 1e-8) -> NDArray[np.bool_]:
-    """Whether the strain of each equilibrium is isolated, (n,): False where a mode without stiffness moves the lattice.
-
-    Modes are the directions that keep every loaded contact closed; their stiffness is the reduced Jacobian, in units of
-    s r1^2. A mode that moves only rings inside the cell leaves the strain unique.
-    """
+def strain_is_unique(equations: Equations, found: Equilibrium, s: Array) -> Flags:
+    """Whether the strain of each equilibrium is isolated, (n,): no mode without stiffness moves the lattice."""
     unique = np.ones(len(s), dtype=bool)
     for i, stiffness, motions in loose_motions(equations, found, s):
-        unique[i] = not np.any(np.abs(motions[:3, stiffness < tolerance]) > 1e-6)
+        unique[i] = not np.any(np.abs(motions[:3, stiffness < SOFT]) > 1e-6)
     return unique
 
 
 def loose_motions(equations: Equations, found: Equilibrium, s: Array) -> Iterator[tuple[int, Array, Array]]:
-    """For every converged case that is not held by its loaded contacts alone: its number, the stiffnesses (k,) and the
-    motions (m, k) that keep these contacts closed, in units of s r1^2.
+    """For every converged case that is not held by its loaded contacts alone: its number, the stiffnesses (k,) in
+    s r1^2, and the motions (m, k) that keep these contacts closed.
     """
     system = equations.assemble(found.pose, found.contacts, found.lam, s)
     loaded = (found.lam > 1e-6) & found.contacts.present
@@ -55,8 +52,8 @@ def limit_equilibrium(s: Array, equations: Equations, options: DirectOptions) ->
     """Equilibria under the loads s (n, 3) that are limits for a vanishing addition to the second principal load.
 
     Paths for decreasing additions come first, each started from the one before and stopped at complementarity 1e-3 of
-    the addition, where gaps are still open. From the slack pose such loads take ten times as many iterations, or stall.
-    The smallest three additions whose extrapolation Newton's method confirms count; status "no-limit" if none do.
+    the addition, where gaps are still open. The smallest three whose extrapolation Newton's method confirms count;
+    status "no-limit" if none do.
     """
     mean, half = 0.5 * (s[:, 0] + s[:, 2]), 0.5 * (s[:, 0] - s[:, 2])
     radius = np.hypot(half, s[:, 1])
@@ -88,9 +85,8 @@ def limit_equilibrium(s: Array, equations: Equations, options: DirectOptions) ->
 def _extrapolate_limit(
     three: list[Equilibrium], s: Array, equations: Equations, options: DirectOptions, force: float
 ) -> Equilibrium:
-    """The limit of three equilibria with second loads d, d/2, d/4 as an equilibrium under s alone.
-
-    A guess keeps every pair of rings that carries more than `force` in the last one."""
+    """The limit of three equilibria with second loads d, d/2, d/4 as an equilibrium under s alone, with every pair of
+    rings closed that carries more than `force` in the last one."""
     lattice, centres, normals = (
         np.einsum("k,k...->...", _WEIGHTS, np.stack([getattr(part.pose, name) for part in three]))
         for name in ("lattice", "centres", "normals")
@@ -112,7 +108,7 @@ def _extrapolate_limit(
     return replace(found, pose=pose, lam=lam, contacts=contacts, R=R, status=status)
 
 
-def touching(contacts: CellContacts, reach: float | Array) -> NDArray[np.bool_]:
+def touching(contacts: CellContacts, reach: float | Array) -> Flags:
     """Contacts whose gap is below `reach`, one number or one per case, (n, p, SLOTS)."""
     return contacts.present & (contacts.gap < np.reshape(reach, (-1, 1, 1)))
 
@@ -135,9 +131,7 @@ def polish(
     pose: Pose, equations: Equations, s: Array, options: DirectOptions, reach: float | Array = 1e-5, steps: int = 4
 ) -> tuple[Pose, Array, CellContacts, Array]:
     """Newton on r = 0 and gap = 0 of all touching contacts; least-norm steps, so that a free mode stays where it is.
-
-    Returns pose, forces (n, p, SLOTS), contacts and weighted residual R (n,). Converges quadratically from a pose near
-    an equilibrium whose touching contacts are known.
+    Pose, forces (n, p, SLOTS), contacts and weighted residual R (n,).
     """
     for step in range(steps + 1):
         contacts = equations.contacts(pose, options.reach)
@@ -157,11 +151,9 @@ def polish(
 
 def with_limits(
     s: Array, equations: Equations, found: Equilibrium, options: DirectOptions
-) -> tuple[Equilibrium, NDArray[np.bool_]]:
-    """Equilibria with non-unique rows replaced by their limits, and the flags `unique` (n,).
-
-    Stalled uniaxial and nearly uniaxial loads are approached from inside the tensile cone, too.
-    A row whose limit cannot be found keeps one of its equilibria and gets the status "no-limit".
+) -> tuple[Equilibrium, Flags]:
+    """Equilibria with non-unique rows, and stalled ones of nearly uniaxial loads, replaced by their limits; the flags
+    `unique` (n,). A row without a limit keeps its equilibrium and gets the status "no-limit".
     """
     unique = strain_is_unique(equations, found, s)
     slender = np.abs(s[:, 0] * s[:, 2] - s[:, 1] ** 2) < _SIZES[0] * (s[:, 0] + s[:, 2]) ** 2

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rve.common import Array, Flags, Index
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, follow, solve_equilibrium, unit_loads
-from rve.equilibrium.limits import loose_motions, strain_is_unique
+from rve.equilibrium.limits import SOFT, loose_motions, strain_is_unique
 from rve.equilibrium.steps import carry_forces
 from rve.equilibrium.system import Equations
 from rve.geometry.contacts import CellContacts
@@ -28,8 +28,6 @@ _TURNED = np.array([-1.0, -1.0, 1.0])
 _ROUNDING = 1e-7
 MOST_ITERATIONS = 60
 """In symmetric coordinates; 40 do for all but a few cases, which are better off with all coordinates then."""
-SOFT = 1e-8
-"""A stiffness above minus this, in units of s r1^2, is none to round-off: the load leaves the strain free there."""
 
 
 @dataclass(frozen=True)

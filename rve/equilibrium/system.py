@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rve.common import Array, Rows
-from rve.geometry.contacts import CellContacts, find_contacts
-from rve.geometry.distance import distance_gradient, distance_hessian
+from rve.geometry.contacts import CellContacts, distance_gradient, distance_hessian, find_contacts
 from rve.geometry.pose import Pose, pair_maps, place_maps, reduction, turns_of
 from rve.geometry.weave import Weave
 
@@ -122,8 +121,7 @@ class Equations:
     modes (m, k): motions as combinations of the m reduced coordinates; the identity leaves all of them free. middle
     (i, j): the second ring is kept at (i a1 + j a2)/2, so that modes of the lattice carry it along (`symmetry`).
     is_relative: residuals are measured against the load, not against 1. idle: contacts with no more force get no
-    curvature in J. far_pairs: pairs too far apart to touch are sampled as well, which changes no result
-    (docs/reports/omissions.md).
+    curvature in J.
     """
 
     weave: Weave
@@ -135,7 +133,6 @@ class Equations:
     middle: tuple[int, int] | None = None
     is_relative: bool = True
     idle: float = IDLE
-    far_pairs: bool = False
 
     @staticmethod
     def of(weave: Weave, wire: float, modes: Array | None = None, load: Force = cauchy_load) -> Equations:
@@ -145,7 +142,7 @@ class Equations:
 
     def contacts(self, pose: Pose, reach: float) -> CellContacts:
         """Every contact of these poses whose gap is below `reach` (in r1)."""
-        return find_contacts(pose, self.weave, self.wire, reach, far_pairs=self.far_pairs)
+        return find_contacts(pose, self.weave, self.wire, reach)
 
     def motions(self, pose: Pose) -> Array:
         """The modes at these poses, (n, m, k), or (1, m, k) where they are the same for all."""

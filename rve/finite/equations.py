@@ -18,7 +18,7 @@ from rve.finite.task import BLOCK
 from rve.finite.touching import Touching
 from rve.finite.walls import wall_derivatives
 from rve.geometry.circles import tangent_frame
-from rve.geometry.distance import distance_gradient, distance_hessian
+from rve.geometry.contacts import distance_gradient, distance_hessian
 
 PAIR = 7
 METRIC = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.5])

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from rve.geometry.circles import are_linked, foot_on_circle, local_minima, tangent_frame
-from rve.geometry.distance import distance_gradient, distance_hessian
+from rve.geometry.contacts import distance_gradient, distance_hessian
 
 
 def unit(x):
