@@ -56,7 +56,7 @@ def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOption
     found = replace(states.found, status=np.where(is_known, states.found.status, "stalled"))
     sides = (known["b_x_mm"], known["b_y_mm"]) if "b_x_mm" in known else reference_sides(cell, DirectOptions())
     equations = Equations.of(states.cell.weave, cell.wire)
-    rings = ring_states(equations, found, states.s, weave_sides(states.cell, sides), material.poisson, joint)
+    rings = ring_states(equations, found, states.s, weave_sides(states.cell, sides), material.poisson, joint.angles_deg)
     D = rings.locking + rings.elastic / (material.young_N_per_mm2 * cell.r1)
     if cell.grain == "x":
         D = D[:, ::-1, ::-1]

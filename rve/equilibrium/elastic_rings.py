@@ -12,28 +12,90 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import nnls
 
-from rve.common import Array, Index, Rows, tell
-from rve.common.rings import Joint
+from rve.common import Array, Flags, Index, Rows, tell
 from rve.common.tensor import WEIGHT
 from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.interior_point import Equilibrium
-from rve.equilibrium.ring_contacts import contact_ends, contact_flexibility
+from rve.equilibrium.largest_work import TOUCHING
+from rve.equilibrium.limits import SOFT, touching
 from rve.equilibrium.system import Equations
+from rve.geometry.circles import cross, dot, tangent_frame
 from rve.geometry.kinematics import lattice_strain, second_pk
 from rve.geometry.pose import deformation
 from rve.ring.collapse import largest_factors, relative_moments
+from rve.ring.kernels import flexibility
 from rve.ring.section import Ring
 from rve.ring.stress import peak_stress
 
-_LEAST_FORCE = 1e-7
-"""Contacts with less of the largest force count as idle."""
-_RANK = 1e-7
-"""Singular values of the contact gradients below this share of the largest are zero: some forces balance themselves."""
+_LEAST_FORCE, _RANK = 1e-7, 1e-7
+"""Shares of the largest below which a contact is idle, and a singular value of the contact gradients is zero."""
 _BLOCK = 256
 """Cases worked on together: some 150 MB."""
-_SOFT = 1e-8
-"""Stiffness in s r1^2 below which a motion is free."""
-WELDED = Joint.of("welded")
+
+
+@dataclass(frozen=True)
+class Ends(Rows):
+    """Where contacts act on the rings of n cells: slot and present (n, c) of each contact; of its ends, first those on
+    ring a, then those on ring b: ring (n, 2c), angle phi (n, 2c), direction (n, 2c, 3) in the ring's local axes, zero
+    for padding. Of each ring (n, k), grain: the angle at which it is farthest along the grain, and sense: 1 where
+    angles grow counterclockwise as seen from the front, else -1."""
+
+    slot: Index
+    present: Flags
+    ring: Index
+    phi: Array
+    direction: Array
+    grain: Array
+    sense: Array
+
+    def joints(self, angle_deg: float) -> Array:
+        """The angles (n, k) of joints that are `angle_deg` degrees around each ring from the grain."""
+        return self.grain + np.radians(angle_deg) * self.sense
+
+    def on(self, k: int) -> tuple[Array, Array, Index]:
+        """Angles (n, e), directions (n, e, 3), contacts (n, e) of the ends on ring k; padding has no direction."""
+        mine = (self.ring == k) & (self.direction != 0.0).any(axis=2)
+        count = int(mine.sum(axis=1).max(initial=1))
+        column = np.argsort(~mine, axis=1, kind="stable")[:, :count]
+        there = np.take_along_axis(mine, column, axis=1)
+        direction = np.take_along_axis(self.direction, column[..., None], axis=1) * there[..., None]
+        return np.take_along_axis(self.phi, column, axis=1), direction, column % self.slot.shape[1]
+
+
+def contact_ends(equations: Equations, found: Equilibrium) -> Ends:
+    """The ends of all touching contacts of locked states."""
+    contacts, n = found.contacts, len(found.lam)
+    working = touching(contacts, TOUCHING).reshape(n, -1)
+    slot = np.argsort(~working, axis=1, kind="stable")[:, : int(working.sum(axis=1).max(initial=1))]
+    present = np.take_along_axis(working, slot, axis=1)
+
+    def at(values: Array) -> Array:
+        there = np.take_along_axis(values.reshape(n, -1, 3), slot[..., None], axis=1)
+        return np.where(present[..., None], there, 0.0)
+
+    push, rho = at(contacts.normal), np.concatenate([at(contacts.rho), at(contacts.rho_b)], axis=1)
+    push = np.concatenate([-push, push], axis=1)
+    ring = np.concatenate([equations.weave.pairs[slot // contacts.gap.shape[2], end] for end in (0, 1)], axis=1)
+    normal = found.pose.normals[np.arange(n)[:, None], ring]
+    e1, e2 = tangent_frame(normal)
+    phi = np.arctan2(dot(rho, e2), dot(rho, e1))
+    direction = np.stack([dot(push, rho), dot(push, cross(normal, rho)), dot(push, normal)], axis=2)
+    e1, e2 = tangent_frame(found.pose.normals)
+    grain, sense = np.arctan2(e2[..., 1], e1[..., 1]), np.copysign(1.0, found.pose.normals[..., 2])
+    return Ends(slot, present, ring, phi, direction, grain, sense)
+
+
+def contact_flexibility(ends: Ends, ring: Ring, joint: Array | None = None) -> Array:
+    """The flexibility C (n, c, c) between the contacts of each cell, by its rings of curved wire, times E r1.
+
+    joint (n, k): angles at which butted rings are open, None for welded ones.
+    """
+    mine = [ends.direction * (ends.ring == k)[..., None] for k in range(ends.grain.shape[1])]
+    open_at = [None] * len(mine) if joint is None else list(joint.T)
+    parts = [flexibility(ends.phi, d, ring.curved(), x) for d, x in zip(mine, open_at, strict=True)]
+    full = np.sum(parts, axis=0)
+    c = ends.slot.shape[1]
+    return np.asarray(full[:, :c, :c] + full[:, :c, c:] + full[:, c:, :c] + full[:, c:, c:])
 
 
 @dataclass(frozen=True)
@@ -43,8 +105,7 @@ class RingStates(Rows):
     lam (n, p, SLOTS): contact forces in s r1, zero for idle contacts. locking, elastic (n, 3, 3): the parts of dE_i =
     D_ij dS_j under a unit line load: the bend of the locking surface, and what rings with E r1 = 1 give; where the
     strain is not unique, with its free part held. first_yield, collapse (n,): the yield stress, times r1, at which the
-    unit load is that of first yield and of plastic collapse, nan if that is not found. angle_deg (n,): where the butted
-    rings are open that forces and compliance are for, nan for welded ones.
+    unit load is that of first yield and of plastic collapse, nan if that is not found. energy (n,): lam C lam.
     """
 
     lam: Array
@@ -52,7 +113,7 @@ class RingStates(Rows):
     elastic: Array
     first_yield: Array
     collapse: Array
-    angle_deg: Array
+    energy: Array
 
 
 def ring_states(
@@ -61,25 +122,22 @@ def ring_states(
     s: Array,
     reference: tuple[float, float],
     poisson: float,
-    joint: Joint = WELDED,
+    angles_deg: tuple[float, ...] = (),
 ) -> RingStates:
     """First-order elastic states and strength of the converged ones of the locked states `found` under loads s (n, 3).
 
-    reference: sides of the reference cell in r1. Of butted rings with several angles, first yield and collapse are each
-    those at the worst angle, forces and compliance those at the angle that gives most. Rows that
+    reference: sides of the reference cell in r1. angles_deg: where butted rings may be open, from the grain; first yield
+    and collapse are each those at the worst angle, forces and compliance those at the angle that gives most. Rows that
     have not converged have nan.
     """
     good = np.flatnonzero(found.status == "converged")
-    states = RingStates(
-        np.zeros(found.lam.shape), *(np.full((len(s), *shape), np.nan) for shape in ((3, 3), (3, 3), (), (), ()))
-    )
-    if not len(good):
-        return states
+    nan, tensor = np.full(len(s), np.nan), np.full((len(s), 3, 3), np.nan)
+    states = RingStates(np.zeros(found.lam.shape), tensor, tensor, nan, nan, nan)
     ring = Ring(1.0, equations.wire, 1.0, poisson)
     for start in range(0, len(good), _BLOCK):
         tell(f"wires of the rings under {len(good)} loads", start / len(good))
         rows = good[start : start + _BLOCK]
-        states = states.put(rows, _Cells(equations, found.take(rows), s[rows], reference, ring).states(joint))
+        states = states.put(rows, _Cells(equations, found.take(rows), s[rows], reference, ring).states(angles_deg))
     return states
 
 
@@ -100,23 +158,21 @@ class _Cells:
         self.start = np.where(self.ends.present, np.take_along_axis(found.lam.reshape(len(s), -1), slot, axis=1), 0.0)
         self.B = lattice_strain(found.pose.lattice, reference)[1]
 
-    def states(self, joint: Joint) -> RingStates:
+    def states(self, angles_deg: tuple[float, ...]) -> RingStates:
         """The states of welded rings, or of butted ones: the worst of each angle of their joints."""
-        first, *rest = joint.angles_deg or (np.nan,)
-        states, energy = self._states_at(first)
-        for angle in rest:
-            other, more = self._states_at(angle)
+        joints = [self.ends.joints(angle) for angle in angles_deg]
+        states = self._states_at(joints[0] if joints else None)
+        for joint in joints[1:]:
+            other = self._states_at(joint)
             stress = np.maximum(states.first_yield, other.first_yield)
             load = np.maximum(states.collapse, other.collapse)
-            softer = np.flatnonzero(more > energy)
-            states = states.put(softer, other.take(softer))
-            states, energy = replace(states, first_yield=stress, collapse=load), np.maximum(energy, more)
+            softer = np.flatnonzero(other.energy > states.energy)
+            states = replace(states.put(softer, other.take(softer)), first_yield=stress, collapse=load)
         return states
 
-    def _states_at(self, angle_deg: float) -> tuple[RingStates, Array]:
-        """The states of rings that are open at `angle_deg` from the grain, nan: welded; and lam C lam (n,)."""
+    def _states_at(self, joint: Array | None) -> RingStates:
+        """The states of rings that are open at the angles `joint` (n, k), or welded."""
         ends, found, G = self.ends, self.found, self.G
-        joint = None if np.isnan(angle_deg) else ends.joints(angle_deg)
         C, n = contact_flexibility(ends, self.ring, joint), len(G)
         lam, stress = np.zeros(ends.slot.shape), np.zeros(n)
         for i in range(n):
@@ -136,9 +192,8 @@ class _Cells:
             forces = np.take_along_axis(lam, contact, axis=1)[..., None] * direction
             peak, _, _ = peak_stress(phi, forces, self.ring, None if joint is None else joint[:, k])
             stress = np.maximum(stress, peak)
-        energy, angles = np.einsum("nc,ncd,nd->n", lam, C, lam), np.full(n, angle_deg)
-        collapse = self._collapse(lam, joint)
-        return RingStates(full.reshape(found.lam.shape), locking, elastic, stress, collapse, angles), energy
+        energy, collapse = np.einsum("nc,ncd,nd->n", lam, C, lam), self._collapse(lam, joint)
+        return RingStates(full.reshape(found.lam.shape), locking, elastic, stress, collapse, energy)
 
     def _collapse(self, lam: Array, joint: Array | None) -> Array:
         """Yield stress (n,) at which the load is that of plastic collapse: contact forces are free within balance."""
@@ -213,8 +268,8 @@ def _compliance(G: Array, C: Array, H: Array, B: Array, area: float) -> tuple[Ar
     """Both parts of D (3, 3) of one cell.
 
     Motions Z keep all loaded contacts closed. Under dS they move by Z (Z^T H Z)^-1 Z^T f' with f' = A_ref B^T W dS: the
-    bend of the locking surface. The contact forces change by Lam dS, and the rings give Lam^T C Lam / A_ref. Motions
-    without stiffness are held: the load does no work in them, so S:D S does not depend on them.
+    bend of the locking surface. Forces change by Lam dS, and the rings give Lam^T C Lam / A_ref. Motions without
+    stiffness, in which the load does no work, are held.
     """
     U, sizes, Vt, N = _split(G)
     W = U - N @ np.linalg.solve(_positive(N.T @ C @ N), N.T @ C @ U) if N.shape[1] else U
@@ -222,7 +277,7 @@ def _compliance(G: Array, C: Array, H: Array, B: Array, area: float) -> tuple[Ar
     load = np.zeros((len(H), 3))
     load[:3] = area * B.T * WEIGHT
     stiffness, motions = np.linalg.eigh(0.5 * Z.T @ (H + H.T) @ Z)
-    stiff = stiffness >= _SOFT
+    stiff = stiffness >= SOFT
     V, stiffness = Z @ motions[:, stiff], stiffness[stiff]
     dq = (V / stiffness) @ (V.T @ load)
     Lam = W @ ((Vt[: len(sizes)] @ (H @ dq - load)) / sizes[:, None])
