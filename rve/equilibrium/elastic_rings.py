@@ -86,10 +86,7 @@ def contact_ends(equations: Equations, found: Equilibrium) -> Ends:
 
 
 def contact_flexibility(ends: Ends, ring: Ring, joint: Array | None = None) -> Array:
-    """The flexibility C (n, c, c) between the contacts of each cell, by its rings of curved wire, times E r1.
-
-    joint (n, k): angles at which butted rings are open, None for welded ones.
-    """
+    """The flexibility C (n, c, c) between the contacts of each cell, by its curved rings, open at the angles joint (n, k)."""
     mine = [ends.direction * (ends.ring == k)[..., None] for k in range(ends.grain.shape[1])]
     open_at = [None] * len(mine) if joint is None else list(joint.T)
     parts = [flexibility(ends.phi, d, ring.curved(), x) for d, x in zip(mine, open_at, strict=True)]
@@ -126,9 +123,9 @@ def ring_states(
 ) -> RingStates:
     """First-order elastic states and strength of the converged ones of the locked states `found` under loads s (n, 3).
 
-    reference: sides of the reference cell in r1. angles_deg: where butted rings may be open, from the grain; first yield
-    and collapse are each those at the worst angle, forces and compliance those at the angle that gives most. Rows that
-    have not converged have nan.
+    reference: sides of the reference cell in r1. angles_deg: where butted rings may be open, from the grain: yield and
+    collapse are those at the worst angle, forces and compliance those at the angle that gives most. Rows that have not
+    converged have nan.
     """
     good = np.flatnonzero(found.status == "converged")
     nan, tensor = np.full(len(s), np.nan), np.full((len(s), 3, 3), np.nan)
@@ -241,8 +238,7 @@ def _positive(K: Array) -> Array:
 def elastic_forces(G: Array, f: Array, C: Array, start: Array) -> Array:
     """Forces lam (c,) >= 0 with G^T lam = -f that make lam C lam least; `start` (c,) is one choice of them.
 
-    G (c, m), f (m,), C (c, c). Balance leaves lam = p + N z; the least of a positive definite form in z under p + N z
-    >= 0 is a least-distance problem, which nonnegative least squares solves exactly (Lawson and Hanson, ch. 23).
+    G (c, m), f (m,), C (c, c). Balance leaves lam = p + N z >= 0: a least-distance problem (Lawson and Hanson, ch. 23).
 
     >>> G = np.array([[1.0], [1.0]])
     >>> elastic_forces(G, np.array([-3.0]), np.diag([1.0, 2.0]), np.array([0.0, 3.0])).round(12)

@@ -63,11 +63,8 @@ class DirectOptions(Typed):
 
 @dataclass(frozen=True)
 class Equilibrium(Rows):
-    """Locked poses of a batch of load cases and how they were found.
-
-    pose: n poses in units of r1; lam (n, p, SLOTS): contact forces in units of s r1; contacts: where they act;
-    R (n,): weighted residual; iterations (n,): Newton iterations over all attempts; status (n,): name of the outcome;
-    attempts (n,): tries that were needed.
+    """Locked poses of n load cases in r1 and how they were found: lam (n, p, SLOTS), contact forces in s r1; contacts:
+    where they act; R (n,): weighted residual; iterations (n,) over all attempts; status (n,): name of the outcome.
     """
 
     pose: Pose
@@ -81,10 +78,8 @@ class Equilibrium(Rows):
 
 @dataclass(frozen=True)
 class PathState(Rows):
-    """Cases still in the batch: row numbers, loads, poses, contacts, forces, path parameter, progress of the iteration.
-
-    system: their equations; best, last: merit; stall: iterations without progress; radius: trust radius; moved: length
-    of the last step.
+    """Cases still in the batch: row in the result, load, their equations, path parameter mu; best and last merit;
+    stall: iterations without progress; radius: trust radius; moved: length of the last step.
     """
 
     row: Index
@@ -207,10 +202,8 @@ def follow(
 ) -> Equilibrium:
     """Equilibria under the load of the equations, `s` being its rows; see `solve_equilibrium`.
 
-    Attempts after the first start from disturbed poses, the same for every case and batch; mu falls slowly there and no
-    step is taken back. A load that is nearly uniaxial, or a pull along the grain of thin wire, moves the cell far along
-    a narrow valley while mu falls. If mu falls by a factor of ten or more, the cell is left behind on the wall of the
-    valley and stalls there.
+    Attempts after the first start from disturbed poses, the same for every case and batch; mu falls slowly there, so
+    that cells which move far along a narrow valley are not left behind on its wall, and no step is taken back.
     """
     first = start if start is not None else start_pose(equations.weave, len(s))
     contacts = equations.contacts(first, options.reach)

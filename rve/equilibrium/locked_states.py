@@ -15,11 +15,9 @@ from rve.geometry.pose import Pose
 
 @dataclass(frozen=True)
 class LockedStates(Rows):
-    """Locked states of n load cases.
-
-    found: poses, contacts, forces and how they were found; s (n, 3): Cauchy line loads in weave axes; unique (n,):
-    False where the load leaves the strain free; cell: the mesh, whose weave lists the pairs of rings of `lam` and
-    `contacts`; reach: gap in r1 up to which contacts are listed.
+    """Locked states of n load cases: s (n, 3), Cauchy line loads in weave axes; unique (n,): False where the load
+    leaves the strain free; cell: the mesh, whose weave lists the pairs of rings; reach: gap in r1 up to which contacts
+    are listed.
     """
 
     found: Equilibrium

@@ -12,14 +12,12 @@ from rve.geometry.contacts import CellContacts, gap_bound, parallel_clearance
 from rve.geometry.pose import Pose, moved
 
 LARGEST_CORRECTION = 0.1
-"""Largest coordinate change by one second-order correction, in r1 or radians."""
+"""Of a coordinate, in r1 or radians."""
 
 
 def carry_forces(old: CellContacts, lam: Array, new: CellContacts, mu: Array) -> Array:
-    """Contact forces for new contacts: the force of a pair of rings is handed on in full.
-
-    Contacts that have one nearest successor each keep their forces. Where minima merge, split, appear or vanish, the
-    force of the pair is shared out as on the central path, in proportion to 1/gap. New pairs start at mu/gap.
+    """Forces of new contacts. Contacts that have one nearest successor each keep theirs; where minima merge, split,
+    appear or vanish, the force of the pair is shared out in proportion to 1/gap. New pairs start at mu/gap.
     """
     share = np.where(new.present, 1.0 / np.maximum(new.gap, 1e-14), 0.0)
     distance = _distances(old, new)
@@ -39,8 +37,8 @@ def newton_direction(
 ) -> tuple[Array, Array]:
     """Primal-dual Newton step (dq (n, m), dlam (n, c)) for r = 0, lam gap = mu, no longer than `step`.
 
-    Eliminating dlam leaves K dq = r + G^T (mu - lam gap)/gap with K = -J + G^T diag(lam/gap) G. Where the symmetric
-    part of K is indefinite, or the step too long, a multiple of the identity is added.
+    K dq = r + G^T (mu - lam gap)/gap with K by `_barrier_stiffness`. Where the symmetric part of K is indefinite, or
+    the step too long, a multiple of the identity is added.
     """
     n, m = system.r.shape
     target = np.where(present, (mu[:, None] - lam * gap) / gap, 0.0)
@@ -88,11 +86,9 @@ def _barrier_stiffness(system: System, gap: Array, lam: Array, present: Flags) -
 
 @dataclass(frozen=True)
 class Valley:
-    """What second-order corrections of a step need of the poses where it begins: contacts, gradients G (n, c, m), gap
-    and ratio lam/gap (n, c), positive stiffness K (n, m, m); count: corrections per step.
-
-    Where rings slide along a curved valley, gaps change by the square of the step while the valley is as wide as
-    mu/lam. A correction brings the gaps back to their linear prediction, in the metric K.
+    """Where a step with second-order corrections begins: contacts, gradients G (n, c, m), gap and ratio lam/gap (n, c),
+    positive stiffness K (n, m, m); count: corrections per step. In a curved valley gaps change by the square of the
+    step; a correction brings them back to their linear prediction, in the metric K.
     """
 
     contacts: CellContacts

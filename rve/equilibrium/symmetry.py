@@ -85,10 +85,9 @@ def symmetric_equations(equations: Equations, symmetry: Symmetry) -> Equations:
 
 
 def solve_equilibrium_symmetric(s: Array, equations: Equations, options: DirectOptions) -> Equilibrium:
-    """What `solve_equilibrium` finds, first tried in the symmetric coordinates of the weave.
-
-    One attempt is made there; cases that do not converge or are not confirmed are solved with all coordinates, except
-    loads of rank one that leave the strain free (`limits.with_limits`). Iterations count both, and attempts one more.
+    """What `solve_equilibrium` finds, first tried in the symmetric coordinates of the weave. Cases that do not converge
+    there, or are not confirmed, are solved with all coordinates, except loads of rank one that leave the strain free
+    (`limits.with_limits`). Iterations count both, and attempts one more.
     """
     symmetry = symmetry_of(equations.weave)
     if symmetry is None:
@@ -139,10 +138,8 @@ def expand_symmetric(
 
 
 def _shared_by_twins(contacts: CellContacts, lam: Array, symmetry: Symmetry) -> Array:
-    """Forces (n, q, SLOTS) with equal parts for contacts that are each other's image within one pair of rings.
-
-    Symmetric motions see only the sum of the two forces, so the solver does not determine their shares. The
-    image of a pair of one class in itself is the inverted one; of two classes, the one turned about z by half a turn.
+    """Forces (n, q, SLOTS) with equal parts for contacts that are each other's image within one pair of rings:
+    symmetric motions see only the sum of the two.
     """
     image = np.where(contacts.present[..., None], contacts.rho_b, np.inf) * symmetry.itself[:, None]
     way = contacts.rho[:, :, None] - image[:, :, :, None]  # case, pair, contact, candidate for its image

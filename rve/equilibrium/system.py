@@ -25,10 +25,9 @@ IDLE = 1e-6
 
 @dataclass(frozen=True)
 class System(Rows):
-    """Equations of a batch of n poses with m coordinates and c contact slots.
-
-    r, f (n, m): residual and load; J (n, m, m): derivative of r; G (n, c, m): gap gradients; M (n, m, m): mass matrix
-    of the rings for unit density, which weighs the residual (eq. 9); size (n,): the force it is measured against.
+    """Equations of n poses with m coordinates and c contact slots: residual r and load f (n, m); J (n, m, m):
+    derivative of r; G (n, c, m): gap gradients; M (n, m, m): mass matrix of the rings for unit density, which weighs
+    the residual (eq. 9); size (n,): the force it is measured against.
     """
 
     r: Array
@@ -101,9 +100,8 @@ def inertia(wire: float) -> float:
 
 
 def mirror_modes(weave: Weave) -> Array:
-    """Motions (m, k) that keep the mirror x -> -x of the cell: sides, rows along y, tilts about x.
-
-    Ring k keeps its share of the cell along x; the rotation and the tilts about the other axis stay zero.
+    """Motions (m, k) that keep the mirror x -> -x of the cell: sides, rows along y, tilts about x; rings keep their
+    share of the cell along x.
     """
     k = weave.classes
     m = 4 * k + 1

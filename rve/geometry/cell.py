@@ -73,9 +73,8 @@ class Cell:
             )
 
     def stages(self, weave: Weave) -> list[Cell]:
-        """One row of the larger cell, then all of it, with the weave of all their rings; [] for the primitive cell.
-
-        weave: the one of the primitive cell, with all the pairs to list. What one row does is a start for several.
+        """One row of the larger cell, then all of it, of the primitive cell's `weave`; [] for the primitive cell. What
+        one row does is a start for several.
         """
         nx, ny = self.cells
         sizes = [(nx, 1), (nx, ny)] if nx > 1 and ny > 1 else [self.cells] if self.is_larger else []

@@ -53,10 +53,7 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def tangent_frame(n: Array) -> tuple[Array, Array]:
-    """Two unit vectors e1, e2 with e1 x e2 = n for unit normals n (..., 3).
-
-    The frame of Duff et al., "Building an orthonormal basis, revisited", JCGT 6 (2017): no branch, no square root.
-    """
+    """Two unit vectors e1, e2 with e1 x e2 = n for unit normals n (..., 3), by Duff et al., JCGT 6 (2017)."""
     sign = np.copysign(1.0, n[..., 2])
     a = -1.0 / (sign + n[..., 2])
     b = n[..., 0] * n[..., 1] * a
@@ -80,10 +77,7 @@ def turned(n: Array, tilt: Array) -> Array:
 
 
 def foot_on_circle(p: Array, n: Array, r: float) -> Array:
-    """Point of the circle (centre 0, unit normal n, radius r) closest to p (..., 3).
-
-    Every point of the circle is as close when p lies on its axis; the first frame vector is taken then.
-    """
+    """Point of the circle (centre 0, unit normal n, radius r) closest to p (..., 3), one of many for p on its axis."""
     q = p - dot(p, n)[..., None] * n
     length = np.sqrt(dot(q, q))
     on_axis = length <= 1e-14 * r
@@ -94,10 +88,7 @@ def foot_on_circle(p: Array, n: Array, r: float) -> Array:
 
 
 def are_linked(d: Array, n_a: Array, n_b: Array, r1: float) -> Flags:
-    """Whether circle B passes once through the disk of circle A, (n,): the linking number is +1 or -1, not 0.
-
-    Circle B meets the plane of A in at most two points; exactly one of them inside the disk means linked.
-    """
+    """Whether the circles are linked, (n,): B meets the plane of A in two points, exactly one of them inside of A."""
     c = dot(n_a, n_b)
     in_plane = n_a - c[:, None] * n_b  # gradient in the plane of B of the height above plane A
     length = np.sqrt(np.maximum(dot(in_plane, in_plane), 1e-30))  # parallel planes: x stays a number
@@ -145,9 +136,7 @@ def _polish(
     r1: float,
     shift: float | Array = 0.0,
 ) -> tuple[Array, Minima]:
-    """Newton on the slope from angle + shift, kept in the bracket angle +- width by bisection; angles and minima.
-
-    circles: d, n_a, n_b (n, 3) of all pairs."""
+    """Newton on the slope from angle + shift, kept in the bracket angle +- width by bisection; angles and minima."""
     d, n_a, n_b = (of[pair] for of in circles)
     lines, angle, low, high = _lines(d, n_a, n_b, r1), angle + shift, angle - width, angle + width
     # Converged rows are dropped, so results do not depend on the batch; most need five rounds, a few thirty.
@@ -252,10 +241,8 @@ def followed_minima(near: Minima, d: Array, n_a: Array, n_b: Array, r1: float, *
 
 
 def _shoulders(rise: Array, fall: Array, can_reach: Flags, step: float) -> tuple[Index, Array]:
-    """Pairs (k,) and angles (k,) between samples (n, m) where the slope keeps its sign but has its least size.
-
-    rise, fall (n, m): differences to the next sample and from the one before. A minimum in a basin narrower than two
-    samples looks like that: one in 700 of random pairs within 0.9 r1.
+    """Pairs (k,) and angles (k,) between samples where the slope keeps its sign but has its least size, as at a minimum
+    in a basin narrower than two samples. rise, fall (n, m): differences to the next sample and from the one before.
     """
     size = np.abs(rise)
     least = (size <= np.roll(size, 1, axis=1)) & (size <= np.roll(size, -1, axis=1))
@@ -268,9 +255,7 @@ def _shoulders(rise: Array, fall: Array, can_reach: Flags, step: float) -> tuple
 def _with_twins(
     found: Minima, pair: Index, angle: Array, reach: float, circles: tuple[Array, Array, Array], r1: float
 ) -> Minima:
-    """The minima found and those that the coarse sampling has missed, each once, sorted by pair and distance.
-
-    Looked at more closely are pairs (k,) around angles (k,)."""
+    """The minima found and those that sampling has missed around the angles (k,) of the pairs (k,), each once, sorted."""
     d, n_a, n_b = circles
     # Twins may be 0.001 rad apart or 0.1: the samples crowd towards the minimum.
     offset = 0.8 / np.sinh(6.0) * np.sinh(np.linspace(-6.0, 6.0, 97))

@@ -52,10 +52,7 @@ class CellContacts(Rows):
 
 
 def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float) -> CellContacts:
-    """Every contact of every case whose gap is below `reach` (in r1), and whether all links are intact.
-
-    wire = r2/r1.
-    """
+    """Every contact of every case whose gap is below `reach` (in r1), and whether all links are intact; wire = r2/r1."""
     d, na, nb = (x.reshape(-1, 3) for x in pair_geometry(pose, weave))
     n, p, limit = len(pose.lattice), len(weave.pairs), 2.0 * wire + reach
     near = np.flatnonzero(can_touch(d, limit))
@@ -102,9 +99,8 @@ def can_touch(d: Array, limit: float) -> Flags:
 def parallel_clearance(before: Pose, after: Pose, weave: Weave, wire: float, samples: int = 12) -> Array:
     """Smallest gap (n,) of parallel rings, those of one class, on the straight way between two poses, ends left out.
 
-    Rings of one class can pass through each other at two points at once, which no linking number tells. Their distance
-    is closed form: with height h and in-plane offset rho it is |h| where the projections cross (rho <= 2), and
-    hypot(rho - 2, h) outside.
+    They can pass through each other at two points at once, which no linking number tells. With height h and in-plane
+    offset rho their distance is |h| where the projections cross (rho <= 2), and hypot(rho - 2, h) outside.
     """
     same = weave.pairs[:, 0] == weave.pairs[:, 1]
     (d0, n0, _), (d1, n1, _) = pair_geometry(before, weave), pair_geometry(after, weave)
@@ -151,10 +147,8 @@ def pairs_in_reach(pose: Pose, weave: Weave, wire: float, reach: float) -> Index
 
 
 def distance_gradient(m: Minima) -> Array:
-    """Derivative of the distance with respect to (d, theta_a, theta_b), (m, 9), by the envelope theorem.
-
-    theta are rotation vectors of the rings in space: dD = u . dd - (rho_a x u) . dtheta_a + (rho_b x u) . dtheta_b.
-    Units 1 and mm (per radian).
+    """Derivative of the distance with respect to (d, theta_a, theta_b), (m, 9), theta being rotation vectors in space:
+    dD = u . dd - (rho_a x u) . dtheta_a + (rho_b x u) . dtheta_b. Units 1 and mm (per radian).
     """
     return np.concatenate([m.normal, -cross(m.rho_a, m.normal), cross(m.rho_b, m.normal)], axis=1)
 
@@ -162,10 +156,9 @@ def distance_gradient(m: Minima) -> Array:
 def distance_hessian(m: Minima, n_a: Array, n_b: Array, r1: float, fixed: Flags | None = None) -> Array:
     """Second derivative of the distance with respect to (d, theta_a, theta_b), (m, 9, 9), exponential coordinates.
 
-    n_a, n_b (m, 3) are the normals of the two rings of each minimum. With q = (d, theta) and the two angles phi that
-    place the points, the implicit function theorem gives H = D_qq - D_qphi D_phiphi^-1 D_phiq. A minimum that is about
-    to vanish (det D_phiphi -> 0) has an unbounded H; its determinant is kept above 1e-10 of its scale. Where `fixed`
-    (m,) the point of ring a stays where it is on its ring and only that of ring b slides.
+    n_a, n_b (m, 3): normals of the rings. With q = (d, theta) and the two angles phi that place the points,
+    H = D_qq - D_qphi D_phiphi^-1 D_phiq. The determinant of D_phiphi, which vanishes with the minimum, is kept above
+    1e-10 of its scale. Where `fixed` (m,) the point of ring a stays on its ring and only that of ring b slides.
     """
     u, ra, rb, dist = m.normal, m.rho_a, m.rho_b, m.distance
     eye = np.eye(3)

@@ -108,9 +108,8 @@ WEAVES = {w.name: w for w in (FOUR_IN_ONE, SIX_IN_ONE)}
 
 
 def supercell(weave: Weave, nx: int, ny: int, centres: str = "plane") -> Weave:
-    """The same weave with nx x ny independent primitive cells in one lattice cell, centres in the plane or in space.
-
-    Ring (class k, cell ix, iy) gets the class k + K (ix + nx iy).
+    """The same weave with nx x ny independent primitive cells in one lattice cell, centres in the plane or in space:
+    ring (class k, cell ix, iy) gets the class k + K (ix + nx iy).
     """
     count = weave.classes
 
