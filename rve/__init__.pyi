@@ -32,8 +32,8 @@ from .geometry.weave import WEAVES as WEAVES
 from .geometry.weave import Weave as Weave
 from .more_columns import RingOptions as RingOptions
 from .more_columns import with_rings as with_rings
-from .ring.pull import PulledRing as PulledRing
-from .ring.pull import pulled_ring as pulled_ring
+from .ring.strength import PulledRing as PulledRing
+from .ring.strength import pulled_ring as pulled_ring
 from .solve import solve_table as solve_table
 from .strained.forces import CellForces as CellForces
 from .strained.forces import cell_forces as cell_forces

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rve.equilibrium.locked_states import LockedStates
+from rve.equilibrium.interior_point import LockedStates
 from rve.equilibrium.symmetry import is_symmetric, symmetry_of
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import pairs_in_reach, unlisted_gap

@@ -9,8 +9,7 @@ import numpy as np
 from rve.common import SENTENCES, Array, InputError, NotConverged
 from rve.common.drawing.plane import BLUE, VERMILION, new_axes
 from rve.drawn import DrawnRings
-from rve.equilibrium.interior_point import unit_loads
-from rve.equilibrium.locked_states import LockedStates
+from rve.equilibrium.interior_point import LockedStates, unit_loads
 from rve.equilibrium.system import lattice_load
 from rve.geometry.cell import Cell
 from rve.table import StrainTable

@@ -15,10 +15,9 @@ from rve.common.tensor import double_dot
 from rve.directions import grid
 from rve.equilibrium.branches import RowStates, largest_rows, make_rows
 from rve.equilibrium.dead_load import DeadLoad, LoadedCell, solve_dead
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
+from rve.equilibrium.interior_point import DirectOptions, Equilibrium, LockedStates, solve_equilibrium, unit_loads
 from rve.equilibrium.largest_work import in_cell
 from rve.equilibrium.limits import with_limits
-from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.mixtures import MOVED
 from rve.equilibrium.symmetry import solve_equilibrium_symmetric
 from rve.equilibrium.system import Equations, mirror_modes

@@ -23,7 +23,7 @@ from rve.geometry.weave import WEAVES
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from rve.equilibrium.locked_states import LockedStates
+    from rve.equilibrium.interior_point import LockedStates
 
 COLUMNS = ["alpha_deg", "beta_deg", "E11", "E12", "E22", "S11", "S12", "S22"]
 COLUMNS += ["x2_x_mm", "x2_y_mm", "x3_x_mm", "x3_y_mm"]

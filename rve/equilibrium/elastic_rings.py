@@ -22,10 +22,9 @@ from rve.equilibrium.system import Equations
 from rve.geometry.circles import cross, dot, tangent_frame
 from rve.geometry.kinematics import lattice_strain, second_pk
 from rve.geometry.pose import deformation
-from rve.ring.collapse import largest_factors, relative_moments
 from rve.ring.kernels import flexibility
 from rve.ring.section import Ring
-from rve.ring.stress import peak_stress
+from rve.ring.strength import largest_factors, peak_stress, relative_moments
 
 _LEAST_FORCE, _RANK = 1e-7, 1e-7
 """Shares of the largest below which a contact is idle, and a singular value of the contact gradients is zero."""
@@ -86,7 +85,7 @@ def contact_ends(equations: Equations, found: Equilibrium) -> Ends:
 
 
 def contact_flexibility(ends: Ends, ring: Ring, joint: Array | None = None) -> Array:
-    """The flexibility C (n, c, c) between the contacts of each cell, by its curved rings, open at the angles joint (n, k)."""
+    """The flexibility C (n, c, c) between the contacts of each cell, by its curved rings, open at joint (n, k)."""
     mine = [ends.direction * (ends.ring == k)[..., None] for k in range(ends.grain.shape[1])]
     open_at = [None] * len(mine) if joint is None else list(joint.T)
     parts = [flexibility(ends.phi, d, ring.curved(), x) for d, x in zip(mine, open_at, strict=True)]

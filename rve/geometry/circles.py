@@ -255,7 +255,7 @@ def _shoulders(rise: Array, fall: Array, can_reach: Flags, step: float) -> tuple
 def _with_twins(
     found: Minima, pair: Index, angle: Array, reach: float, circles: tuple[Array, Array, Array], r1: float
 ) -> Minima:
-    """The minima found and those that sampling has missed around the angles (k,) of the pairs (k,), each once, sorted."""
+    """The minima found and those that sampling has missed around the angles (k,) of the pairs (k,), each once."""
     d, n_a, n_b = circles
     # Twins may be 0.001 rad apart or 0.1: the samples crowd towards the minimum.
     offset = 0.8 / np.sinh(6.0) * np.sinh(np.linspace(-6.0, 6.0, 97))

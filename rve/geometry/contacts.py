@@ -52,7 +52,7 @@ class CellContacts(Rows):
 
 
 def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float) -> CellContacts:
-    """Every contact of every case whose gap is below `reach` (in r1), and whether all links are intact; wire = r2/r1."""
+    """Every contact of every case whose gap is below `reach` (in r1), and whether links are intact; wire = r2/r1."""
     d, na, nb = (x.reshape(-1, 3) for x in pair_geometry(pose, weave))
     n, p, limit = len(pose.lattice), len(weave.pairs), 2.0 * wire + reach
     near = np.flatnonzero(can_touch(d, limit))

@@ -14,9 +14,8 @@ from rve.geometry.contacts import CellContacts
 from rve.geometry.pose import place_maps, turns_of
 from rve.geometry.weave import Weave
 
-MOST = 1e15
-"""Largest value of an option: products of two stay finite."""
-Positive = Annotated[float, Meta(gt=0.0, le=MOST)]
+Positive = Annotated[float, Meta(gt=0.0, le=1e15)]
+"""Products of two stay finite."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +29,8 @@ class StewartTrinkleOptions(Typed):
     stiffness: of one contact in kg/s2; load: size of the Cauchy line load s_hat in kg/s2, 1 kg/s2 = 1 N/m.
     h_max, h_min: largest time step and the one at which the solver gives up, s.
     tolerance: R of eq. (9) at which a case has converged; max_steps: accepted steps per case.
-    restore: growth of the step after an accepted one.
-    reach: contacts with a larger gap in r1 are ignored.
-    largest_move: largest displacement (r1) and rotation (rad) of a ring per step, so that rings do not pass through
-    each other.
+    restore: growth of the step after an accepted one; reach: contacts with a larger gap in r1 are ignored.
+    largest_move: of a ring per step, in r1 and rad, so that rings do not pass through each other.
     curvature: the step holds the curvature of its contacts (`geometric_stiffness`) beside their linearised gaps.
     Without it, as eq. (6) is printed, some cases chatter between merging minima and end with the status "time-step".
     """
@@ -48,7 +45,7 @@ class StewartTrinkleOptions(Typed):
     h_min: Positive = 1e-9
     tolerance: Positive = 1e-9
     max_steps: Annotated[int, Meta(ge=1, le=1_000_000_000)] = 20000
-    restore: Annotated[float, Meta(ge=1.0, le=MOST)] = 2.0
+    restore: Annotated[float, Meta(ge=1.0, le=1e15)] = 2.0
     reach: Positive = 0.2
     largest_move: Positive = 0.4
     curvature: bool = True
@@ -58,9 +55,8 @@ class StewartTrinkleOptions(Typed):
 class Dynamics:
     """The motion in scaled units: length r1, line load s_hat, hence energy s_hat r1^2; time in seconds.
 
-    weave: of the rings; mass (m_full, m_full) in s2; decay (m_full,): damping over mass of each velocity in 1/s;
-    ring_mass: one ring's in s2; stiffness (p,): of each pair of rings, without unit; ring_maps (rings, 2, m_full): from
-    the velocities to those of every ring's centre. Velocities v (n, m_full) are those of the rings, T(q) u.
+    mass (m_full, m_full) in s2; decay (m_full,): damping over mass of each velocity in 1/s; ring_mass in s2; stiffness
+    (p,) of each pair of rings; ring_maps (rings, 2, m_full): from velocities v (n, m_full) = T u to those of centres.
     """
 
     weave: Weave

@@ -105,8 +105,7 @@ def _freeze(motion: CellMotion, equations: Equations, options: StewartTrinkleOpt
 def geometric_stiffness(bend: Array, T: Array, equations: Equations) -> Array:
     """Positive part of the contact curvature bend (n, m, m) = -sum lam d2gap/dq2; T (n, m_full, m) by `reduction`.
 
-    It grows without bound where two minima merge: there the contact point runs along the ring and the linearised gap
-    holds for a tiny step only. Part of the Hessian of the contact energy, so an implicit step may have it.
+    It grows without bound where two minima merge: there the linearised gap holds for a tiny step only.
     """
     # The positive part depends on what is orthogonal: the kinetic energy decides, it knows no coordinates.
     L = np.linalg.cholesky(np.matmul(T.transpose(0, 2, 1), np.matmul(equations.mass, T)))
@@ -121,9 +120,8 @@ def advanced(
 ) -> tuple[CellMotion, Array, Array]:
     """One accepted step of every case: the motion, the step lengths, and the rise of the energy.
 
-    The step is halved until contact and kinetic energy, less the work of the load of the step on the displacement of
-    the corners, do not rise above round-off; links stay intact and no coordinate moves too far. A case whose step falls
-    below h_min keeps its place with h = 0.
+    The step is halved until contact and kinetic energy, less the work of the load, do not rise above round-off, links
+    stay intact and no ring moves too far. A case whose step falls below h_min keeps its place with h = 0.
     """
     frozen = _freeze(motion, equations, options, dynamics)
     h, rise, rejected = motion.h.copy(), np.zeros(len(motion.row)), motion.rejected.copy()
@@ -222,10 +220,9 @@ def solve_table_stewart_trinkle(
     """The strain-load table of a cell under load directions (alpha, beta) in degrees, each (n,), by the paper's scheme
     at its contact stiffness.
 
-    Strains refer to the rigid reference cell and differ from rigid ones in proportion to load over stiffness; minimum
-    gaps are negative. `unique` and `states` are those of the direct solver; where `unique` is 0, E is where the motion
-    ends. `iterations` are accepted steps. Radius and density come from the cell.
-    Raises InputError for angles that are not finite, NotConverged if there is no reference cell.
+    Strains refer to the rigid reference cell; minimum gaps are negative. `unique` and `states` are those of the direct
+    solver, `iterations` are accepted steps; radius and density come from the cell. InputError for angles that are not
+    finite, NotConverged if there is no reference cell.
     """
     options = replace(options or StewartTrinkleOptions(), r1_mm=cell.r1, density=cell.density)
     began = time.perf_counter()

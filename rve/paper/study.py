@@ -3,13 +3,29 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rve.common import AnyPath, Array, Index, check_out_job, csv_text, job, json_text, require, versions, write_text
+from rve.common import (
+    AnyPath,
+    Array,
+    Index,
+    check_out_job,
+    csv_text,
+    job,
+    json_text,
+    require,
+    tell,
+    versions,
+    write_text,
+)
+from rve.common.drawing.plane import BLUE, GREEN, VERMILION, new_axes, new_figure, save_figure, shade, viridis
 from rve.directions import grid
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
@@ -17,21 +33,21 @@ from rve.geometry.kinematics import cauchy_line_load, lattice_strain
 from rve.geometry.pose import strain_of
 from rve.paper.dynamics import StewartTrinkleOptions
 from rve.paper.stewart_trinkle import CellMotion, History, solve
+from rve.plots import draw_case
 from rve.solve import solve_table
 from rve.table import StrainTable
 
 RECORD = "study.json"
-"""The record of a study in its folder; it lists the other files with their checksums."""
+"""It lists the other files with their checksums."""
+NAMES, COLOURS = ("E11", "E12", "E22"), (BLUE, VERMILION, GREEN)
 KINKED = ((0.0, 0.0), (45.0, 90.0))
 """Cases 1 and 190 of the paper, whose motion it shows in Fig. 17."""
 
 
 @dataclass(frozen=True)
 class Study:
-    """Load cases solved by both methods: rows of the direct solver, and rings that came to rest by the paper's scheme.
-
-    sides: of the rigid reference cell in r1, to which strains of both refer; wall_s: seconds of the scheme and of the
-    direct solver.
+    """Load cases solved by both methods. sides: of the rigid reference cell in r1, to which strains of both refer;
+    wall_s: seconds of the scheme and of the direct solver.
     """
 
     table: StrainTable
@@ -46,10 +62,11 @@ class Study:
         """Strains (n, 3) of the paper's scheme."""
         return strain_of(self.rest.pose, self.sides)
 
-    def case(self, alpha_deg: float, beta_deg: float) -> int | None:
-        """Row of a load direction, None where the study has none."""
-        rows = np.flatnonzero((self.table.alpha_deg == alpha_deg) & (self.table.beta_deg == beta_deg))
-        return int(rows[0]) if len(rows) else None
+    @property
+    def kinked(self) -> list[tuple[tuple[float, float], int]]:
+        """Which of `KINKED` the study has, and their rows."""
+        directions = zip(self.table.alpha_deg.tolist(), self.table.beta_deg.tolist(), strict=True)
+        return [(pair, i) for i, pair in enumerate(directions) if pair in KINKED]
 
     def path(self, case: int) -> tuple[Index, Array]:
         """Rows of the history that belong to a case, (m,), and its strains there, (m, 3)."""
@@ -57,9 +74,8 @@ class Study:
         return rows, lattice_strain(self.history.lattice[rows], self.sides)[0]
 
     def side_contact_times(self, case: int) -> tuple[float, float]:
-        """Times in s from which, for good, one and all of the final contacts between rings that do not interlink press.
-
-        nan where the locked state has no such contact.
+        """Times in s from which, for good, one and all of the final contacts between rings that do not interlink press;
+        nan without such a contact.
         """
         rows = self.history.case == case
         side, times = self.history.side[rows], self.history.time[rows]
@@ -95,32 +111,29 @@ def comparison(study: Study) -> list[tuple[str, str, str, str]]:
     def span(values: Array, low: float, high: float) -> str:
         return f"{((values >= low) & (values <= high)).sum()} of {len(values)}"
 
-    def kink(alpha: float, beta: float) -> str:
-        case = study.case(alpha, beta)
-        if case is None:
-            return "not in this study"
-        first, last = study.side_contact_times(case)
-        return f"first side contact {first:.0f} s, last {last:.0f} s"
+    def quartiles(values: Any) -> str:
+        return " / ".join(f"{x:.0f}" for x in np.percentile(values, [25, 50, 75]))
 
-    (one, other), last_case = KINKED, study.case(*KINKED[1])
-    quarter, half, most = np.percentile(sums, [25, 50, 75])
+    kinks, ends = (dict.fromkeys(KINKED, "not in this study") for _ in range(2))
+    for pair, case in study.kinked:
+        first, last = study.side_contact_times(case)
+        kinks[pair], ends[pair] = f"first side contact {first:.0f} s, last {last:.0f} s", f"{sums[case]:.0f} s"
     clock = "the paper states neither s_hat nor a start; s_hat is calibrated, see docs/explanation/paper_scheme.md"
     free = "(15, 0) is at the edge of the loads that leave the strain free: almost no restoring force"
     fewer = "our steps see the contact curvature: fewer"
-    own_sum = "not in this study" if last_case is None else f"{sums[last_case]:.0f} s"
     return [
         ("converged cases", "190 of 190", f"{(rest.status == 'converged').sum()} of {len(sums)}", ""),
         ("steps, 150 to 300", "most cases", span(steps.astype(float), 150, 300), fewer),
-        ("steps, quartiles", "-", " / ".join(f"{x:.0f}" for x in np.percentile(steps, [25, 50, 75])), ""),
+        ("steps, quartiles", "-", quartiles(steps), ""),
         ("least steps", "80", f"{steps.min()} at {name(order[0])}", ""),
         ("most steps", "about 2800, two cases", ", ".join(f"{steps[i]} at {name(i)}" for i in order[:-4:-1]), free),
         ("least sum of h", "14.5 s", f"{sums.min():.1f} s at {name(int(np.argmin(sums)))}", clock),
         ("sum of h, 45 to 60 s", "accumulation of cases", span(sums, 45.0, 60.0), clock),
-        ("sum of h, quartiles", "-", f"{quarter:.0f} / {half:.0f} / {most:.0f} s", ""),
+        ("sum of h, quartiles", "-", f"{quartiles(sums)} s", ""),
         ("largest sum of h", "1340 s", f"{sums.max():.0f} s at {name(int(np.argmax(sums)))}", free),
-        ("sum of h, case 190 (45, 90)", "about 1340 s", own_sum, "same clock"),
-        ("kink, case 1 (0, 0)", "about 30 s", kink(*one), clock),
-        ("kink, case 190 (45, 90)", "about 1200 s", kink(*other), clock),
+        ("sum of h, case 190 (45, 90)", "about 1340 s", ends[KINKED[1]], "same clock"),
+        ("kink, case 1 (0, 0)", "about 30 s", kinks[KINKED[0]], clock),
+        ("kink, case 190 (45, 90)", "about 1200 s", kinks[KINKED[1]], clock),
         ("tried with too large a step", "-", f"{rest.rejected.sum()} beside {steps.sum()} accepted steps", ""),
         ("largest rise of energy", "none", f"{study.history.rise.max():.1e} s_hat r1^2", "round-off of the gaps"),
         ("wall time", "-", f"{study.wall_s[0]:.1f} s, direct solver {study.wall_s[1]:.1f} s", ""),
@@ -129,8 +142,8 @@ def comparison(study: Study) -> list[tuple[str, str, str, str]]:
 
 def markdown(rows: list[tuple[str, str, str, str]]) -> str:
     """The comparison as a Markdown table."""
-    lines = ["| quantity | paper | ours | why they differ |", "|---|---|---|---|"]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows]) + "\n"
+    head = ["| quantity | paper | ours | why they differ |", "|---|---|---|---|"]
+    return "\n".join(head + [f"| {' | '.join(row)} |" for row in rows]) + "\n"
 
 
 def run(
@@ -139,15 +152,10 @@ def run(
     beta_deg: ArrayLike | None = None,
     options: StewartTrinkleOptions | None = None,
 ) -> Study:
-    """Solve the study and write it into `out_dir`, which is made if need be: cases.csv, history_*.csv, comparison.md,
-    study.json and the pictures fig_09.png to fig_17.png. Returns what was solved.
-
-    Without angles these are the paper's 190 cases: about two minutes on one core.
-    All files appear together, and what they replace is gone (`rve.common.files`). InputError when matplotlib is
+    """Solve the study, by default the paper's 190 cases, and write it into `out_dir`, all files together: cases.csv,
+    history_*.csv, comparison.md, study.json and the pictures fig_09.png to fig_17.png. InputError when matplotlib is
     missing or the folder cannot be made or written, before anything is solved.
     """
-    from rve.paper.figures import draw_all
-
     require("matplotlib", "plots", "the study")
     check_out_job(out_dir, RECORD)
     alpha, beta = grid() if alpha_deg is None or beta_deg is None else (alpha_deg, beta_deg)
@@ -156,10 +164,8 @@ def run(
     record = {"options": asdict(study.options), "comparison": [list(row) for row in rows], "versions": versions()}
     with job(out_dir, RECORD) as folder:
         write_text(folder / "cases.csv", _cases_csv(study))
-        for pair in KINKED:
-            case = study.case(*pair)
-            if case is not None:
-                write_text(folder / f"history_{pair[0]:g}_{pair[1]:g}.csv", _history_csv(study, case))
+        for (alpha_deg, beta_deg), case in study.kinked:
+            write_text(folder / f"history_{alpha_deg:g}_{beta_deg:g}.csv", _history_csv(study, case))
         write_text(folder / "comparison.md", markdown(rows))
         write_text(folder / RECORD, json_text(record))
         draw_all(study, Path(folder))
@@ -172,15 +178,124 @@ def _cases_csv(study: Study) -> str:
     header += ",E11_direct,E12_direct,E22_direct,unique"
     rest, table = study.rest, study.table
     direct = np.where(np.isfinite(table.E), table.E.astype(object), "")
-    columns = [table.alpha_deg, table.beta_deg, rest.steps, rest.rejected, rest.time, rest.R, rest.status]
+    columns: list[Any] = [table.alpha_deg, table.beta_deg, rest.steps, rest.rejected, rest.time, rest.R, rest.status]
     columns += [*study.E.T, *direct.T, table.unique.astype(int)]
     rows = zip(range(1, len(table) + 1), *(column.tolist() for column in columns), strict=True)
     return csv_text(header.split(","), rows)
 
 
 def _history_csv(study: Study, case: int) -> str:
-    """One line per accepted step of a case: time, step, strain, R, kinetic energy."""
+    """One line per accepted step of a case."""
     h, (rows, E) = study.history, study.path(case)
     values = np.column_stack([h.time[rows], h.h[rows], E, h.R[rows], h.kinetic[rows], h.side[rows]])
-    header = "time_s,h_s,E11,E12,E22,R,kinetic_kg_mm2_per_s2,side_contacts"
-    return csv_text(header.split(","), values.tolist())
+    header = ["time_s", "h_s", *NAMES, "R", "kinetic_kg_mm2_per_s2", "side_contacts"]
+    return csv_text(header, values.tolist())
+
+
+def in_space(study: Study, values: Array, names: tuple[str, ...], sheet: Array | None = None) -> Any:
+    """Figs. 9 and 14: line loads, or locked strains, (n, 3) in space; `sheet` (n, 3): the surface through a grid of
+    cases, and its mirror image, alpha -> -alpha."""
+    fig, alphas, betas = new_figure(6.4, 5.0), np.unique(study.table.alpha_deg), np.unique(study.table.beta_deg)
+    ax = fig.add_subplot(projection="3d")
+    if sheet is not None and len(sheet) == len(alphas) * len(betas):
+        E11, E12, E22 = np.moveaxis(sheet.reshape(len(alphas), len(betas), 3), 2, 0)
+        for sign in (1.0, -1.0):
+            ax.plot_surface(E11, sign * E12, E22, color=BLUE, alpha=0.35, lw=0.3)
+    marks = ax.scatter(*values.T, c=study.table.beta_deg, cmap=viridis(), s=12, depthshade=False)
+    ax.set(**dict(zip(("xlabel", "ylabel", "zlabel"), names, strict=True)))
+    ax.set_box_aspect(None, zoom=0.82)
+    ax.locator_params(nbins=5)
+    ax.xaxis.labelpad = ax.yaxis.labelpad = ax.zaxis.labelpad = 8.0
+    fig.colorbar(marks, ax=ax, shrink=0.6, pad=0.12, label="beta, degrees")
+    return fig
+
+
+def locked_cell(alpha_deg: float, beta_deg: float) -> Any:
+    """Figs. 10 to 12: the locked cell under a load."""
+    return draw_case(solve_table(Cell(), ([alpha_deg], [beta_deg]))).figure
+
+
+def strains(study: Study) -> Any:
+    """Fig. 13: strain components against beta for each alpha; lines the direct solver, marks the paper's scheme."""
+    fig, table = new_figure(12.0, 4.6), study.table
+    axes = fig.subplots(1, 3)
+    values = np.unique(table.alpha_deg)
+    for k, ax in enumerate(axes):
+        for alpha in values:
+            rows = np.flatnonzero(table.alpha_deg == alpha)
+            colour = shade(alpha / max(values.max(), 1.0))
+            ax.plot(table.beta_deg[rows], table.E[rows, k], "-", color=colour, lw=1.0, label=f"{alpha:g}")
+            ax.plot(table.beta_deg[rows], study.E[rows, k], "o", color=colour, ms=3, mfc="none")
+        free = ~table.unique
+        ax.plot(table.beta_deg[free], table.E[free, k], "x", color="black", ms=7)
+        ax.set(xlabel="ratio angle beta, degrees", ylabel=NAMES[k])
+    axes[-1].legend(title="alpha,\ndegrees", fontsize=10, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    told = "lines: direct solver; circles: paper's scheme; crosses: strain not unique (limit from inside)"
+    fig.suptitle(told, size=11)
+    return fig
+
+
+def steps(study: Study) -> Any:
+    """Fig. 15: accepted steps of each case."""
+    ax, number, good = new_axes(8.0, 4.2), np.arange(1, len(study.table) + 1), study.rest.status == "converged"
+    ax.semilogy(number[good], study.rest.steps[good], "o", ms=4, color=BLUE, label="converged")
+    if not good.all():
+        ax.semilogy(number[~good], study.rest.steps[~good], "x", ms=4, color="black", label="not converged")
+    ax.axhspan(150, 300, color="0.88", zorder=0, label="most cases of the paper")
+    ax.set(xlabel="load case (beta runs fastest)", ylabel="accepted steps n")
+    ax.legend(fontsize=10)
+    return ax.figure
+
+
+def clock(study: Study) -> Any:
+    """Fig. 16: cumulated time against steps."""
+    ax = new_axes(6.4, 4.6)
+    marks = ax.scatter(study.rest.steps, study.rest.time, c=study.table.beta_deg, cmap=viridis(), s=22)
+    ax.axhspan(45.0, 60.0, color="0.88", zorder=0)
+    ax.set(xscale="log", yscale="log", xlabel="accepted steps n", ylabel="cumulated time, s")
+    ax.set_title("grey: accumulation of cases in the paper, 45 to 60 s", fontsize=11)
+    ax.figure.colorbar(marks, ax=ax, label="beta, degrees")
+    return ax.figure
+
+
+def progress_of_two(study: Study) -> Any:
+    """Fig. 17: strain, R and kinetic energy against time for cases 1 and 190; None if the study has neither."""
+    known = study.kinked
+    if not known:
+        return None
+    fig, h = new_figure(5.2 * len(known), 6.4), study.history
+    axes = fig.subplots(2, len(known), squeeze=False, sharex="col")
+    for (upper, lower), (pair, case) in zip(axes.T, known, strict=True):
+        rows, E = study.path(case)
+        for k, values in enumerate(E.T):
+            upper.plot(h.time[rows], values, color=COLOURS[k], label=NAMES[k])
+        lower.semilogy(h.time[rows], h.R[rows], color=BLUE, label="R")
+        kinetic = np.maximum(h.kinetic[rows], 1e-300)
+        lower.semilogy(h.time[rows], kinetic, color=VERMILION, label="kinetic energy, 1e-6 J")
+        lower.set_ylim(1e-24, 10.0)
+        for ax in (upper, lower):
+            for kink in filter(np.isfinite, study.side_contact_times(case)):
+                ax.axvline(kink, color="0.6", lw=0.8)
+            ax.legend(fontsize=10)
+        upper.set(ylabel="strain", title=f"alpha = {pair[0]:g} deg, beta = {pair[1]:g} deg")
+        lower.set(xlabel="time, s", ylabel="R, kinetic energy")
+    told = "from here on one, and all, of the final contacts\nbetween rings that do not interlink press"
+    fig.suptitle(f"grey lines: {told}", size=11)
+    return fig
+
+
+def draw_all(study: Study, folder: Path) -> None:
+    """Draw Figs. 9 to 17 into a folder."""
+    pictures: list[Callable[[], Any]] = [
+        partial(in_space, study, study.rest.s, ("s_xx / s_hat", "s_xy / s_hat", "s_yy / s_hat")),
+        *(partial(locked_cell, *load) for load in ((0.0, 90.0), (0.0, 0.0), (45.0, 0.0))),
+        partial(strains, study),
+        partial(in_space, study, study.E, NAMES, study.table.E),
+        *(partial(draw, study) for draw in (steps, clock, progress_of_two)),
+    ]
+    for number, draw in enumerate(pictures):
+        name = f"fig_{number + 9:02d}.png"
+        tell(f"drawing, {name}", number / len(pictures))
+        fig = draw()
+        if fig is not None:
+            save_figure(folder / name, fig)

@@ -48,10 +48,8 @@ def squares(phi: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
 
 
 def _low_orders(section: Section) -> tuple[float, float, float, float]:
-    """The self-balanced orders 0 and 1 of a unit force, by least strain energy; 0 for bending alone.
-
-    Uniform M_z that goes with the uniform N = 1/(2 pi) of a radial force, amplitude of V_r in order 1, and the parts of
-    the flexibility of both orders.
+    """The self-balanced orders 0 and 1 of a unit force, 0 for bending alone: uniform M_z with the uniform N = 1/(2 pi)
+    of a radial force, amplitude of V_r in order 1, and the parts of the flexibility of both orders.
     """
     s, R = section, section.radius
     moment = -s.coupling / s.bending * _W
@@ -66,9 +64,8 @@ def _low_orders(section: Section) -> tuple[float, float, float, float]:
 def internal_forces(phi: Array, forces: Array, at: Array, section: Section, joint: Array | None = None) -> Array:
     """Section forces (..., k, 6) at the angles at (..., k) under forces (..., m, 3) at the angles phi (..., m).
 
-    Leading axes are rings and load cases. Where the forces of a ring do not balance, what is missing is spread over it.
-    At a point force V_r, V_z and N are those just ahead of it. joint (...): the angle at which a butted ring is open,
-    None for a welded one. The ends of its wire are free; ends that press on each other would carry more.
+    Where the forces of a ring do not balance, what is missing is spread over it. At a point force V_r, V_z and N are
+    those just ahead of it. joint (...): the angle at which a butted ring is open, its ends free; None for a welded one.
 
     >>> thin = Section(radius=10.0, bending=1.0, out_of_plane=1.0, torsion=1.3)
     >>> pull = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
@@ -134,9 +131,8 @@ def flexibility(phi: Array, directions: Array, section: Section, joint: Array | 
 
 
 def self_stress(at: Array, radius: float) -> Array:
-    """The six states (..., 6, 6) of section forces that balance without load, at angles (...): last axis is the state.
-
-    States are a constant force along x, y, z and a constant moment about x, y, z; M = M_0 - x cross P.
+    """The six states (..., 6, 6), last axis, of section forces that balance without load, at angles (...): a constant
+    force P along x, y, z and a constant moment about x, y, z; M = M_0 - x cross P.
     """
     c, s = np.cos(at), np.sin(at)
     H = np.zeros((*np.shape(at), 6, 6))

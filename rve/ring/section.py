@@ -1,8 +1,8 @@
 """The wire of a ring: how a section of it gives under its forces, and the stress in its skin.
 
-Section forces are those that the part ahead (at larger angles) exerts on the part behind, at the centre of the wire,
-in the ring's own axes r (outwards), t (along the ring) and z (its normal): force (V_r, N, V_z), moment (M_r, M_t, M_z).
-M_z > 0 bends the ring more sharply, with tension outside. Units N and N mm.
+Section forces are those of the part ahead (at larger angles) on the part behind, at the centre of the wire, in axes r
+(outwards), t (along the ring), z (its normal): force (V_r, N, V_z) in N, moment (M_r, M_t, M_z) in N mm; M_z > 0 bends
+the ring more sharply.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ class Section:
     """How much one mm of wire gives: strain energy per length is half the square of the section forces with these.
 
     radius: of the centre circle, mm. bending (M_z), out_of_plane (M_r), torsion (M_t) in 1/(N mm2); axial (N), shear
-    (V_r and V_z) in 1/N; coupling (N with M_z) in 1/(N mm), zero for thin wire.
+    (V_r and V_z) in 1/N; coupling (N with M_z) in 1/(N mm).
     """
 
     radius: float
@@ -33,10 +33,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Ring:
-    """A ring of round wire: r1, r2 in mm, young in N/mm2, Poisson's ratio.
-
-    InputError for numbers that no ring has.
-    """
+    """A ring of round wire: r1, r2 in mm, young in N/mm2, Poisson's ratio; InputError for numbers that no ring has."""
 
     r1: float
     r2: float
@@ -57,7 +54,7 @@ class Ring:
         return self.young / (2.0 * (1.0 + self.poisson))
 
     def thin(self) -> Section:
-        """The section of wire that is thin against the ring: bending E I and torsion G J alone."""
+        """The section of thin wire: bending E I and torsion G J alone."""
         inertia = 0.25 * np.pi * self.r2**4
         bending = 1.0 / (self.young * inertia)
         return Section(self.r1, bending, bending, 1.0 / (self.shear_modulus * 2.0 * inertia))
@@ -69,11 +66,10 @@ class Ring:
         return replace(self.thin(), axial=1.0 / (self.young * area), shear=shear)
 
     def curved(self) -> Section:
-        """The section of the thick ring (Winkler): sections stay plane, and inner fibres are shorter than outer ones.
+        """The section of the thick ring (Winkler): inner fibres are shorter than outer ones.
 
         In the plane 1/(E A e R) in place of 1/(E I), with e = R - r_n, the distance to the neutral fibre, and N and M_z
-        coupled by 1/(E A R); out of the plane the integral of z^2 R/(R + x) over the section in place of I. Torsion and
-        shear are those of a straight wire; their corrections are of the order (r2/r1)^2 (docs/theory.md, 7).
+        coupled by 1/(E A R). Torsion and shear are those of a straight wire (docs/theory.md, 7).
         """
         straight, short = self.straight(), _short(self.r1, self.r2)
         area = np.pi * self.r2**2
@@ -107,8 +103,7 @@ def skin_stress(forces: Array, fibre: Array, r1: float, r2: float) -> Array:
 
         sigma = N/A + M_z (r - r_n)/(A e r) - M_r z R/(I_r r),    r = R + r2 cos(fibre),    z = r2 sin(fibre),
 
-    torsion with tau = M_t r2/J R/r: inner fibres are shorter and twist more. Transverse shear is left out; it is of the
-    order r2/r1 of the bending stress and acts elsewhere.
+    torsion with tau = M_t r2/J R/r. Transverse shear, of the order r2/r1 of the bending stress, is left out.
 
     >>> straight = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     >>> float(skin_stress(straight, np.array(0.0), 1e6, 1.0).round(4)), round(4.0 / np.pi, 4)

@@ -17,7 +17,7 @@ from rve.geometry.pose import deformation
 from rve.geometry.weave import FOUR_IN_ONE
 from rve.more_columns import RingOptions, with_rings
 from rve.ring.section import Ring, out_of_plane_inertia, shear_factor
-from rve.ring.stress import peak_stress
+from rve.ring.strength import peak_stress
 from rve.solve import locked_block, reference_sides, solve_table
 
 from .frame import frame_flexibility

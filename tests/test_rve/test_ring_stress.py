@@ -5,7 +5,7 @@ import pytest
 
 from rve.ring.kernels import internal_forces
 from rve.ring.section import Ring, skin_stress
-from rve.ring.stress import peak_stress
+from rve.ring.strength import peak_stress
 
 from .frame import balanced
 
