@@ -108,7 +108,7 @@ def comparison(study: Study) -> list[tuple[str, str, str, str]]:
     def name(i: int) -> str:
         return f"({study.table.alpha_deg[i]:g}, {study.table.beta_deg[i]:g})"
 
-    def span(values: Array, low: float, high: float) -> str:
+    def span(values: Any, low: float, high: float) -> str:
         return f"{((values >= low) & (values <= high)).sum()} of {len(values)}"
 
     def quartiles(values: Any) -> str:
@@ -120,10 +120,9 @@ def comparison(study: Study) -> list[tuple[str, str, str, str]]:
         kinks[pair], ends[pair] = f"first side contact {first:.0f} s, last {last:.0f} s", f"{sums[case]:.0f} s"
     clock = "the paper states neither s_hat nor a start; s_hat is calibrated, see docs/explanation/paper_scheme.md"
     free = "(15, 0) is at the edge of the loads that leave the strain free: almost no restoring force"
-    fewer = "our steps see the contact curvature: fewer"
     return [
         ("converged cases", "190 of 190", f"{(rest.status == 'converged').sum()} of {len(sums)}", ""),
-        ("steps, 150 to 300", "most cases", span(steps.astype(float), 150, 300), fewer),
+        ("steps, 150 to 300", "most cases", span(steps, 150, 300), "our steps see the contact curvature: fewer"),
         ("steps, quartiles", "-", quartiles(steps), ""),
         ("least steps", "80", f"{steps.min()} at {name(order[0])}", ""),
         ("most steps", "about 2800, two cases", ", ".join(f"{steps[i]} at {name(i)}" for i in order[:-4:-1]), free),
@@ -219,11 +218,10 @@ def strains(study: Study) -> Any:
     """Fig. 13: strain components against beta for each alpha; lines the direct solver, marks the paper's scheme."""
     fig, table = new_figure(12.0, 4.6), study.table
     axes = fig.subplots(1, 3)
-    values = np.unique(table.alpha_deg)
     for k, ax in enumerate(axes):
-        for alpha in values:
+        for alpha in np.unique(table.alpha_deg):
             rows = np.flatnonzero(table.alpha_deg == alpha)
-            colour = shade(alpha / max(values.max(), 1.0))
+            colour = shade(alpha / max(table.alpha_deg.max(), 1.0))
             ax.plot(table.beta_deg[rows], table.E[rows, k], "-", color=colour, lw=1.0, label=f"{alpha:g}")
             ax.plot(table.beta_deg[rows], study.E[rows, k], "o", color=colour, ms=3, mfc="none")
         free = ~table.unique
@@ -238,9 +236,9 @@ def strains(study: Study) -> Any:
 def steps(study: Study) -> Any:
     """Fig. 15: accepted steps of each case."""
     ax, number, good = new_axes(8.0, 4.2), np.arange(1, len(study.table) + 1), study.rest.status == "converged"
-    ax.semilogy(number[good], study.rest.steps[good], "o", ms=4, color=BLUE, label="converged")
-    if not good.all():
-        ax.semilogy(number[~good], study.rest.steps[~good], "x", ms=4, color="black", label="not converged")
+    for rows, mark, colour, label in ((good, "o", BLUE, "converged"), (~good, "x", "black", "not converged")):
+        if rows.any():
+            ax.semilogy(number[rows], study.rest.steps[rows], mark, ms=4, color=colour, label=label)
     ax.axhspan(150, 300, color="0.88", zorder=0, label="most cases of the paper")
     ax.set(xlabel="load case (beta runs fastest)", ylabel="accepted steps n")
     ax.legend(fontsize=10)
