@@ -1,12 +1,9 @@
 """Cauchy loads under which several locked states coexist: the one of largest work, or two or three of equal work.
 
-A Cauchy load has no potential, but every state locked under it is locked under its S = J F^-1 s F^-T as well. A row
-(S_i, E_i) is the largest of its states if no known state does more work under S_i: S_i:(E_i - E_j) >= 0 for all j.
-Where a state does, the row is solved again from it. It may be that each of two states does more work than the other
-under the S of the other. Then no single state is the answer: a large mesh carries the load with both states side by
-side. Their common load S*, under which both do the same work, is the one that s gives on a mixture
-(1 - t) E_A + t E_B of their strains. Likewise for three states, such as a symmetric
-one beside another and its mirror image.
+Every state locked under a Cauchy load is locked under its S = J F^-1 s F^-T as well. A row (S_i, E_i) is the largest of
+its states if S_i:(E_i - E_j) >= 0 for all known states j; otherwise it is solved again from j. Two states may each do
+more work under the S of the other: a mesh carries the load with both side by side, under the common S* that s gives on
+a mixture (1 - t) E_A + t E_B of their strains. Likewise for three states.
 """
 
 from __future__ import annotations
@@ -20,15 +17,13 @@ from rve.common import Array, Flags, Index, Rows, tell
 from rve.common.tensor import WEIGHT, double_dot
 from rve.equilibrium.dead_load import MARGINS, LoadedCell, follow_promising, random_poses, restart, restart_patiently
 from rve.equilibrium.interior_point import Equilibrium, unit_loads
-from rve.equilibrium.largest_work import GAIN, KnownStates, Largest, balanced, climbed, largest, states_beyond
+from rve.equilibrium.largest_work import GAIN, ROUNDS, KnownStates, Largest, balanced, climbed, largest, states_beyond
 from rve.equilibrium.limits import strain_is_unique
 from rve.equilibrium.mixtures import MOVED, best_mixture, equal_shares
 from rve.geometry.pose import Pose, start_pose
 
 SAMPLE = 4
 """One in so many rows, and every row of rank one, is also solved as a dead load: independent starts."""
-ROUNDS = 6
-"""Rounds of restarts at most; a row that still contradicts a known state has the status "below"."""
 STUCK, DETOURS = 2, 12
 """Rounds after which mixtures are also looked for by so many steps in a row that do not lower their gain."""
 UNDECIDED = "below"
@@ -135,15 +130,11 @@ def _dead_states(rows: RowStates, mesh: LoadedCell) -> KnownStates:
     S, E = np.tile(sample.S, (2, 1)), np.tile(sample.E, (2, 1))
     start = start_pose(mesh.dead.weave, n).join([random_poses(mesh.dead, n)])
     pick, found = follow_promising(S, E, mesh, start)
-    ended = np.flatnonzero(found.status == "converged")
-    pose = found.pose.take(ended)
-    return KnownStates(pose, S[pick[ended]], mesh.strain(pose)).with_images(mesh)
+    return KnownStates.of(mesh, found, S[pick]).with_images(mesh)
 
 
 def _contradicted(rows: RowStates, known: KnownStates, mesh: LoadedCell) -> tuple[Index, KnownStates]:
-    """Rows under whose S a known state, or the image of one, does more work than their own, and rows that are still
-    on their way; all known states.
-    """
+    """Rows under whose S a known state does more work than their own, or that are on their way; all known states."""
     good = np.flatnonzero(np.isfinite(rows.E[:, 0]))
     states = rows.states(mesh).join([known])
     bad = _missing_work(rows.S[good], rows.E[good], states) > GAIN
@@ -162,9 +153,8 @@ def _solve_from_rivals(
     """The rows `bad` solved again from the best mixtures of known states; equilibria of the rows that are solved now,
     and their numbers; the states that were reached on the way.
 
-    A row takes the state that is reached from the largest share of its mixture if no known state does more work.
-    Otherwise the states of the mixture coexist, if they can be brought to the same work. Otherwise it goes on from the
-    state that was reached, or from the largest share if that is where it came from.
+    A row takes the state that is reached from the largest share of its mixture if no known state does more work. Else
+    the states of the mixture coexist, if they can be brought to the same work. Else it goes on from the new state.
     """
     old, s = rows.E[bad], s[bad]
     mixtures = [best_mixture(each, known.E, mesh, detours) for each in s]
@@ -202,13 +192,12 @@ def _solve_from_rivals(
 def balance_works(
     s: Array, owner: Index, pose: Pose, before: Equilibrium, mesh: LoadedCell
 ) -> tuple[Equilibrium, Array, Flags, KnownStates]:
-    """Equilibria (k,) under the dead loads S* at which the two or three states of each row do the same work; S*
-    (k, 3); where it was found; all states that were reached. Poses (q,) are starts, that of the largest share first,
-    for the rows owner (q,); equilibria `before` (k,) stay where no load S* is found.
+    """Equilibria (k,) of the largest shares under the dead loads S* at which the states of each row do the same work;
+    S* (k, 3); where it was found; all states that were reached. Poses (q,) are starts, that of the largest share first,
+    for the rows owner (q,); equilibria `before` (k,) stay where no S* is found.
 
-    S is that of the mixture of strains under which they do the same work, and all states follow it; narrow gaps keep a
-    state on its branch where it would join another. States that join all the same count once. The equilibrium is that
-    of the largest share.
+    S is that of the mixture of strains, and all states follow it; narrow gaps keep a state on its branch where it would
+    join another. States that join all the same count once.
     """
     first, members = np.unique(owner, return_index=True)[1], [np.flatnonzero(owner == i) for i in range(len(s))]
     E, S, fine = mesh.strain(pose), np.zeros((len(s), 3)), np.zeros(len(s), dtype=bool)
@@ -252,5 +241,4 @@ def balance_works(
         open_ = [i for i in left if (found.status[members[i]] == "converged").all()]
     else:
         fine[open_] = [equal(i) and equal_shares(s[i], E[members[i]], mesh) is not None for i in open_]
-    ended = np.flatnonzero(found.status == "converged")
-    return found.take(first), S, fine, KnownStates(found.pose.take(ended), S[owner[ended]], E[ended])
+    return found.take(first), S, fine, KnownStates.of(mesh, found, S[owner])

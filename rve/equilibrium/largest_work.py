@@ -61,6 +61,13 @@ class KnownStates(Rows):
     S: Array
     E: Array
 
+    @staticmethod
+    def of(mesh: LoadedCell, found: Equilibrium, S: Array) -> KnownStates:
+        """The converged ones of these equilibria under loads S (n, 3)."""
+        ended = found.status == "converged"
+        pose = found.pose.take(ended)
+        return KnownStates(pose, S[ended], mesh.strain(pose))
+
     def with_images(self, mesh: LoadedCell) -> KnownStates:
         """These states and, for a weave that is its own mirror image, what a mirror shows of them."""
         if not mesh.dead.weave.has_images:
@@ -227,10 +234,8 @@ def states_beyond(found: Equilibrium, S: Array, mesh: LoadedCell) -> KnownStates
     here = found.pose.take(row)
     start = moved(here, equations.displacement(way, here))
     new = restart(S[row], equations, start, NEAR_MARGIN, mesh.options)
-    E = mesh.strain(new.pose)
-    more = double_dot(S[row], E - mesh.strain(here)) > GAIN
-    keep = np.flatnonzero(more & (new.status == "converged"))
-    return KnownStates(new.pose.take(keep), S[row[keep]], E[keep])
+    more = double_dot(S[row], mesh.strain(new.pose) - mesh.strain(here)) > GAIN
+    return KnownStates.of(mesh, new.take(more), S[row[more]])
 
 
 def largest_beyond(planar: Largest, known: KnownStates | None, mesh: LoadedCell) -> Largest:
