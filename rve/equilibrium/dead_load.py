@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import nnls
 
 from rve.common import Array, Index
 from rve.common.tensor import double_dot, trace
 from rve.equilibrium.interior_point import NEVER, DirectOptions, Equilibrium, follow, unit_loads
+from rve.equilibrium.limits import shortest
 from rve.equilibrium.system import Equations, on_coordinates
 from rve.geometry.contacts import parallel_clearance
 from rve.geometry.kinematics import deformation_gradient, second_pk
@@ -110,8 +110,8 @@ def _unrejected(options: DirectOptions, **changed: Any) -> DirectOptions:
 
 
 def open_gaps(pose: Pose, equations: Equations, margin: float, reach: float) -> Pose:
-    """The poses with all gaps raised to about `margin` (in r1) by the shortest motions that do so to first order, by
-    Lawson and Hanson's least distance programming. A pose that cannot be opened is left as it is.
+    """The poses with all gaps raised to about `margin` (in r1) by the shortest motions that do so to first order. A
+    pose that cannot be opened is left as it is.
     """
     for _ in range(6):
         contacts = equations.contacts(pose, reach)
@@ -124,10 +124,8 @@ def open_gaps(pose: Pose, equations: Equations, margin: float, reach: float) -> 
         for i in tight:
             gap = contacts.gap[i].ravel()
             near = gap < 10.0 * margin
-            A = np.vstack([G[i][near].T, margin - gap[near]])
-            b = np.append(np.zeros(G.shape[2]), 1.0)
-            r = A @ nnls(A, b)[0] - b
-            dq[i] = np.clip(r[:-1] / -r[-1], -0.1, 0.1) if r[-1] < -1e-12 else 0.0
+            way = shortest(G[i][near], margin - gap[near])
+            dq[i] = 0.0 if way is None else np.clip(way, -0.1, 0.1)
         pose = moved(pose, equations.displacement(dq, pose))
     return pose
 

@@ -10,14 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import nnls
 
 from rve.common import Array, Flags, Index, Rows, tell
 from rve.common.tensor import WEIGHT
 from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.interior_point import Equilibrium
 from rve.equilibrium.largest_work import TOUCHING
-from rve.equilibrium.limits import SOFT, touching
+from rve.equilibrium.limits import SOFT, shortest, touching
 from rve.equilibrium.system import Equations
 from rve.geometry.circles import cross, dot, tangent_frame
 from rve.geometry.kinematics import lattice_strain, second_pk
@@ -250,13 +249,8 @@ def elastic_forces(G: Array, f: Array, C: Array, start: Array) -> Array:
     L = np.linalg.cholesky(_positive(N.T @ C @ N))
     shift = np.linalg.solve(L, N.T @ C @ p)
     A = np.linalg.solve(L, N.T).T  # p + N z = p + A (y - shift) with y = L^T z + shift, and |y| is to be least
-    h = A @ shift - p
-    last = np.zeros(N.shape[1] + 1)
-    last[-1] = 1.0
-    E = np.vstack([A.T, h])
-    r = E @ nnls(E, last)[0] - last
-    y = -r[:-1] / r[-1] if abs(r[-1]) > 1e-12 else shift
-    return np.asarray(np.maximum(p + A @ (y - shift), 0.0))
+    y = shortest(A, A @ shift - p)
+    return np.asarray(np.maximum(p if y is None else p + A @ (y - shift), 0.0))
 
 
 def _compliance(G: Array, C: Array, H: Array, B: Array, area: float) -> tuple[Array, Array]:

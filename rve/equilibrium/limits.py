@@ -127,6 +127,13 @@ def contact_forces(
     return lam, equations.assemble(pose, contacts, lam, s)
 
 
+def shortest(G: Array, h: Array) -> Array | None:
+    """The shortest x (m,) with G x >= h for G (c, m), by least distance programming (Lawson and Hanson, ch. 23)."""
+    A, last = np.vstack([G.T, h]), np.eye(G.shape[1] + 1)[-1]
+    r = A @ nnls(A, last)[0] - last
+    return -r[:-1] / r[-1] if r[-1] < -1e-12 else None
+
+
 def polish(
     pose: Pose, equations: Equations, s: Array, options: DirectOptions, reach: float | Array = 1e-5, steps: int = 4
 ) -> tuple[Pose, Array, CellContacts, Array]:
