@@ -74,10 +74,9 @@ def locked_by_motion(s: Array, equations: Equations, term: str) -> Equilibrium:
     how = replace(paper, density=LIGHT * paper.density) if term == "damping" else paper
     rest = solve(s, equations, how)
     steps, at_rest = rest.steps, rest.status == "converged"
-    pose, lam, contacts, R = polish(rest.pose, equations, s, options, TOUCHING)
-    good = at_rest & (options.tolerance > R) & (contacts.min_gap > -1e-10) & contacts.links_intact
-    status = np.where(good, "converged", "stalled")
-    return Equilibrium(pose, lam, contacts, R, steps, status, np.ones(len(s), dtype=int))
+    found = polish(rest.pose, equations, s, options, TOUCHING)
+    good = at_rest & (options.tolerance > found.R) & (found.contacts.min_gap > -1e-10) & found.contacts.links_intact
+    return replace(found, iterations=steps, status=np.where(good, "converged", "stalled"))
 
 
 def support_across(ratio: float) -> Row:

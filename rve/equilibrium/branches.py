@@ -17,8 +17,8 @@ from rve.common import Array, Flags, Index, Rows, tell
 from rve.common.tensor import WEIGHT, double_dot
 from rve.equilibrium.dead_load import MARGINS, LoadedCell, follow_promising, random_poses, restart, restart_patiently
 from rve.equilibrium.interior_point import Equilibrium, unit_loads
-from rve.equilibrium.largest_work import GAIN, ROUNDS, KnownStates, Largest, balanced, climbed, largest, states_beyond
-from rve.equilibrium.limits import strain_is_unique
+from rve.equilibrium.largest_work import GAIN, ROUNDS, KnownStates, Largest, climbed, largest, states_beyond
+from rve.equilibrium.limits import balanced, strain_is_unique
 from rve.equilibrium.mixtures import MOVED, best_mixture, equal_shares
 from rve.geometry.pose import Pose, start_pose
 

@@ -15,8 +15,7 @@ from rve.common import Array, Flags, Index, Rows, tell
 from rve.common.tensor import WEIGHT
 from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.interior_point import Equilibrium
-from rve.equilibrium.largest_work import TOUCHING
-from rve.equilibrium.limits import SOFT, shortest, touching
+from rve.equilibrium.limits import SOFT, TOUCHING, shortest, touching
 from rve.equilibrium.system import Equations
 from rve.geometry.circles import cross, dot, tangent_frame
 from rve.geometry.kinematics import lattice_strain, second_pk

@@ -26,7 +26,7 @@ from rve.equilibrium.dead_load import (
     solve_dead,
 )
 from rve.equilibrium.interior_point import Equilibrium, unit_loads
-from rve.equilibrium.limits import contact_forces, loose_motions
+from rve.equilibrium.limits import balanced, loose_motions
 from rve.equilibrium.system import Equations
 from rve.geometry.pose import Pose, mirrored, moved, tiled
 
@@ -45,8 +45,6 @@ VICINITY = 0.15
 """Distance in the disc of loads up to which the states found from random starts are shared."""
 NO_WORK = 1e6
 """Minus this stands for the work of a load for which no state is known."""
-TOUCHING = 1e-6
-"""Gap in r1 below which a contact may carry force in a locked state; working ones end at 1e-13 over their force."""
 UNSTABLE, MODES = -1e-6, 3
 """Stiffness in s r1^2 below which a motion gives way, and how many of a state are followed, the softest ones."""
 PUSH, DISTURBED = 0.06, 0.2
@@ -203,14 +201,6 @@ def in_cell(found: Equilibrium, s: Array, equations: Equations, reach: float) ->
     made = balanced(tiled(found.pose, equations.weave), s, equations, reach)
     R = np.where(found.status == "converged", made.R, found.R)
     return replace(found, pose=made.pose, contacts=made.contacts, lam=made.lam, R=R)
-
-
-def balanced(pose: Pose, s: Array, equations: Equations, reach: float) -> Equilibrium:
-    """Locked poses as equilibria under the loads s (n, 3), with nonnegative forces that balance every ring in space."""
-    contacts, none = equations.contacts(pose, reach), np.zeros(len(s), dtype=int)
-    lam, system = contact_forces(pose, contacts, equations, s, TOUCHING)
-    status = np.full(len(s), "converged", dtype="<U16")
-    return Equilibrium(pose, lam, contacts, system.weighted_residual, none, status, none)
 
 
 def unstable_motions(found: Equilibrium, s: Array, equations: Equations) -> Iterator[tuple[int, Array]]:

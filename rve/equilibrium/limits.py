@@ -19,6 +19,8 @@ from rve.geometry.pose import Pose, moved
 
 _SIZES = 1.6e-2 * 0.5 ** np.arange(7)
 """Second principal loads over the first, by which the limit is approached; more of them get nearer and take longer."""
+TOUCHING = 1e-6
+"""Gap in r1 below which a contact may carry force in a locked state; working ones end at 1e-13 over their force."""
 SOFT = 1e-8
 """A stiffness below this, in s r1^2, is none to round-off."""
 _WEIGHTS = np.array([1.0, -6.0, 8.0]) / 3.0
@@ -97,15 +99,14 @@ def _extrapolate_limit(
     gaps = np.sort(np.where(contacts.present, contacts.gap, np.inf), axis=2)
     last = np.take_along_axis(gaps, np.maximum(loaded - 1, 0)[..., None], axis=2)[..., 0]
     widest = np.where((loaded > 0) & np.isfinite(last), np.abs(last), 0.0).max(axis=1)
-    pose, _, _, _ = polish(guess, equations, s, options, 1.5 * widest + 1e-6)
-    pose, lam, contacts, R = polish(pose, equations, s, options)
+    end = polish(polish(guess, equations, s, options, 1.5 * widest + 1e-6).pose, equations, s, options)
     # Newton's steps may drift along the free mode: then the guess was too far away.
     change = np.abs(found.pose.lattice - three[-2].pose.lattice).max(axis=1)
-    stays = np.abs(pose.lattice - guess.lattice).max(axis=1) < np.maximum(0.5 * change, 1e-9)
+    stays = np.abs(end.pose.lattice - guess.lattice).max(axis=1) < np.maximum(0.5 * change, 1e-9)
     known = np.all([part.status == "converged" for part in three], axis=0)
-    ok = known & (R < 1e-9) & (contacts.min_gap > -1e-10) & contacts.links_intact & stays
+    ok = known & (end.R < 1e-9) & (end.contacts.min_gap > -1e-10) & end.contacts.links_intact & stays
     status = np.where(ok, "converged", "no-limit").astype("<U16")
-    return replace(found, pose=pose, lam=lam, contacts=contacts, R=R, status=status)
+    return replace(end, iterations=found.iterations, status=status, attempts=found.attempts)
 
 
 def touching(contacts: CellContacts, reach: float | Array) -> Flags:
@@ -134,17 +135,23 @@ def shortest(G: Array, h: Array) -> Array | None:
     return -r[:-1] / r[-1] if r[-1] < -1e-12 else None
 
 
+def balanced(pose: Pose, s: Array, equations: Equations, reach: float, near: float | Array = TOUCHING) -> Equilibrium:
+    """Locked poses as equilibria under the loads s (n, 3), with nonnegative forces of contacts with gaps below `near`
+    that balance every ring in space."""
+    contacts, none = equations.contacts(pose, reach), np.zeros(len(s), dtype=int)
+    lam, system = contact_forces(pose, contacts, equations, s, near)
+    status = np.full(len(s), "converged", dtype="<U16")
+    return Equilibrium(pose, lam, contacts, system.weighted_residual, none, status, none)
+
+
 def polish(
     pose: Pose, equations: Equations, s: Array, options: DirectOptions, reach: float | Array = 1e-5, steps: int = 4
-) -> tuple[Pose, Array, CellContacts, Array]:
-    """Newton on r = 0 and gap = 0 of all touching contacts; least-norm steps, so that a free mode stays where it is.
-    Pose, forces (n, p, SLOTS), contacts and weighted residual R (n,).
-    """
-    for step in range(steps + 1):
+) -> Equilibrium:
+    """Newton on r = 0 and gap = 0 of all contacts with gaps below `reach`, from poses near equilibria; least-norm
+    steps, so that a free mode stays where it is."""
+    for _ in range(steps):
         contacts = equations.contacts(pose, options.reach)
-        lam, system = contact_forces(pose, contacts, equations, s, reach)
-        if step == steps:
-            break
+        _, system = contact_forces(pose, contacts, equations, s, reach)
         dq = np.zeros(system.r.shape)
         for i, rows in enumerate(touching(contacts, reach).reshape(len(s), -1)):
             G = system.G[i][rows]
@@ -153,7 +160,7 @@ def polish(
             b = -np.concatenate([system.r[i], contacts.gap[i].ravel()[rows]])
             dq[i] = np.linalg.lstsq(A, b, rcond=1e-9)[0][: len(dq[i])]
         pose = moved(pose, np.clip(dq, -1e-2, 1e-2))
-    return pose, lam, contacts, system.weighted_residual
+    return balanced(pose, s, equations, options.reach, reach)
 
 
 def with_limits(

@@ -93,7 +93,7 @@ def test_newton_converges_quadratically():
     pose = moved(found.pose, 3e-4 * rng.uniform(-1, 1, (1, 9)))
     errors = []
     for steps in range(4):
-        after, _, _, _ = polish(pose, equations, s, OPTIONS, reach=0.02, steps=steps)
+        after = polish(pose, equations, s, OPTIONS, reach=0.02, steps=steps).pose
         errors.append(np.abs(after.lattice - found.pose.lattice).max())
     assert errors[0] > 1e-5
     assert errors[1] < 50 * errors[0] ** 2 + 1e-12
@@ -286,8 +286,8 @@ def test_a_limit_that_newton_does_not_confirm_is_no_answer(monkeypatch):
     assert solve_table(Cell(), ([25.0], [0.0])).status[0] == "converged"
 
     def unconfirmed(*args, **rest):
-        pose, lam, contacts, R = polish(*args, **rest)
-        return pose, lam, contacts, np.maximum(R, 1e-3)
+        found = polish(*args, **rest)
+        return replace(found, R=np.maximum(found.R, 1e-3))
 
     monkeypatch.setattr("rve.equilibrium.limits.polish", unconfirmed)
     table = solve_table(Cell(), ([25.0, 25.0], [0.0, 30.0]))

@@ -13,7 +13,8 @@ from rve.common.tensor import WEIGHT, double_dot
 from rve.directions import product
 from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.interior_point import DirectOptions, unit_loads
-from rve.equilibrium.largest_work import balanced, in_cell, unstable_motions
+from rve.equilibrium.largest_work import in_cell, unstable_motions
+from rve.equilibrium.limits import balanced
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import unlisted_gap
