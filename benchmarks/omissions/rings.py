@@ -13,7 +13,7 @@ from benchmarks.omissions.motion import TOLERANCE
 from benchmarks.problems import Array, loads
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
 from rve.equilibrium.symmetry import solve_equilibrium_symmetric
-from rve.equilibrium.system import Equations
+from rve.equilibrium.system import IDLE, Equations
 from rve.geometry import contacts
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import pairs_in_reach, unlisted_gap, widened
@@ -55,13 +55,11 @@ def measure(full: bool) -> Section:
 def solved(cell: Cell, s: Array, feature: str = "") -> Equilibrium:
     """Locked states under the line loads s (n, 3), with one feature switched on."""
     weave = widened(cell.weave) if feature == "unlisted-pairs" else cell.weave
-    equations = Equations.of(weave, cell.wire)
-    if feature == "asymmetry":
-        return solve_equilibrium(s, equations)
-    varied = replace(equations, idle=-1.0) if feature == "idle-curvature" else equations
+    equations = replace(Equations.of(weave, cell.wire), idle=-1.0 if feature == "idle-curvature" else IDLE)
+    solve = solve_equilibrium if feature == "asymmetry" else solve_equilibrium_symmetric
     touch = (lambda d, limit: np.full(d.shape[:-1], True)) if feature == "far-pairs" else contacts.can_touch
     with patch.object(contacts, "can_touch", touch):
-        return solve_equilibrium_symmetric(s, varied, DirectOptions())
+        return solve(s, equations, DirectOptions())
 
 
 def forced(feature: str, name: str, cell: Cell, plain: tuple[Equilibrium, float], s: Array) -> Row:
