@@ -221,7 +221,7 @@ class _Cells:
 
 
 def _split(G: Array) -> tuple[Array, Array, Array, Array]:
-    """U_r, sizes, V_r of contact gradients G (c, m), and U_0: the forces that balance themselves."""
+    """U_r, sizes, V of contact gradients G (c, m), and U_0: the forces that balance themselves."""
     U, sizes, Vt = np.linalg.svd(G)
     rank = int(np.count_nonzero(sizes > _RANK * sizes.max(initial=0.0)))
     return U[:, :rank], sizes[:rank], Vt, U[:, rank:]
@@ -274,17 +274,11 @@ def _compliance(G: Array, C: Array, H: Array, B: Array, area: float) -> tuple[Ar
 
 def _factors(moments: list[tuple[Array, Array]], start: Array, change: Array) -> Array:
     """Factors (n,) at collapse for unit yield stress where the contact forces mu start + change z >= 0 are chosen."""
-    n, c, width = change.shape
-    each = moments[0][1].shape[-1]
-    own = each * len(moments)
-    base, free = [], []
+    each, count, free = moments[0][1].shape[-1], len(moments), []
     for k, (loaded, held) in enumerate(moments):
-        columns = np.zeros((*held.shape[:3], own + width))
-        columns[..., each * k : each * (k + 1)] = held
-        columns[..., own:] = loaded[..., 1:]
-        base.append(loaded[..., 0])
-        free.append(columns)
-    signs = np.zeros((n, c, 1 + own + width))
-    signs[..., 0] = np.where(start > 0.0, start, 1.0)
-    signs[..., 1 + own :] = change
-    return largest_factors(np.concatenate(base, axis=1), np.concatenate(free, axis=1), signs)[0]
+        others = (0, 0), (0, 0), (0, 0), (each * k, each * (count - 1 - k))
+        free.append(np.concatenate([np.pad(held, others), loaded[..., 1:]], axis=3))
+    own = np.zeros((*start.shape, each * count))
+    signs = np.concatenate([np.where(start > 0.0, start, 1.0)[..., None], own, change], axis=2)
+    base = np.concatenate([loaded[..., 0] for loaded, _ in moments], axis=1)
+    return largest_factors(base, np.concatenate(free, axis=1), signs)[0]
