@@ -26,8 +26,8 @@ IDLE = 1e-6
 @dataclass(frozen=True)
 class System(Rows):
     """Equations of n poses with m coordinates and c contact slots: residual r and load f (n, m); J (n, m, m):
-    derivative of r; G (n, c, m): gap gradients; M (n, m, m): mass matrix of the rings for unit density, which weighs
-    the residual (eq. 9); size (n,): the force it is measured against.
+    derivative of r; G (n, c, m): gap gradients; M (n, m, m): mass matrix of the rings for unit density;
+    weighted_residual (n,): R of eq. (9) on the static system, weighed by M, without unit.
     """
 
     r: Array
@@ -35,12 +35,7 @@ class System(Rows):
     J: Array
     G: Array
     M: Array
-    size: Array
-
-    @property
-    def weighted_residual(self) -> Array:
-        """R of eq. (9) on the static system, (n,), without unit."""
-        return weighted_size(self.r, self.M) / self.size
+    weighted_residual: Array
 
 
 def weighted_size(f: Array, M: Array) -> Array:
@@ -188,12 +183,10 @@ class Equations:
         f, J = self.load(pose, T, s)
         G, bend = self.gap_derivatives(pose, contacts, T, lam, self.idle)
         r, J = f + np.matmul(lam.reshape(n, 1, -1), G)[:, 0], J + bend
-        # The share of each contact force in the force on a1 and a2.
+        # Shares of contact forces in the force on a1 and a2.
         flat = np.einsum("nps,npsx->npx", lam, contacts.normal[..., :2])
-        on_lattice = np.concatenate(
-            [np.einsum("npx,p->nx", flat, shift) for shift in self.weave.pairs[:, 2:].T], axis=1
-        )
-        add_lattice_curvature(J, on_lattice)
+        shares = [np.einsum("npx,p->nx", flat, shift) for shift in self.weave.pairs[:, 2:].T]
+        add_lattice_curvature(J, np.concatenate(shares, axis=1))
 
         M = np.matmul(np.matmul(T.transpose(0, 2, 1), self.mass), T)
         B = self.motions(pose)
@@ -201,5 +194,6 @@ class Equations:
         f, M, J = np.matmul(Bt, f[..., None])[..., 0], Bt @ M @ B, Bt @ J @ B
         if self.middle is not None:
             add_lattice_curvature(J, 0.5 * np.concatenate([part * r[:, 3:5] for part in self.middle], axis=1))
-        size = weighted_size(f, M) if self.is_relative else np.ones(n)
-        return System(np.matmul(Bt, r[..., None])[..., 0], f, J, G @ B, M, size)
+        r = np.matmul(Bt, r[..., None])[..., 0]
+        R = weighted_size(r, M) / (weighted_size(f, M) if self.is_relative else 1.0)
+        return System(r, f, J, G @ B, M, R)
