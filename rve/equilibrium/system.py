@@ -26,8 +26,8 @@ IDLE = 1e-6
 @dataclass(frozen=True)
 class System(Rows):
     """Equations of n poses with m coordinates and c contact slots: residual r and load f (n, m); J (n, m, m):
-    derivative of r; G (n, c, m): gap gradients; M (n, m, m): mass matrix of the rings for unit density;
-    weighted_residual (n,): R of eq. (9) on the static system, weighed by M, without unit.
+    derivative of r; G (n, c, m): gap gradients; M (n, m, m): mass matrix of the rings for unit density, which weighs
+    the residual (eq. 9); size (n,): the force it is measured against.
     """
 
     r: Array
@@ -35,7 +35,12 @@ class System(Rows):
     J: Array
     G: Array
     M: Array
-    weighted_residual: Array
+    size: Array
+
+    @property
+    def weighted_residual(self) -> Array:
+        """R of eq. (9) on the static system, (n,), without unit."""
+        return weighted_size(self.r, self.M) / self.size
 
 
 def weighted_size(f: Array, M: Array) -> Array:
@@ -194,6 +199,5 @@ class Equations:
         f, M, J = np.matmul(Bt, f[..., None])[..., 0], Bt @ M @ B, Bt @ J @ B
         if self.middle is not None:
             add_lattice_curvature(J, 0.5 * np.concatenate([part * r[:, 3:5] for part in self.middle], axis=1))
-        r = np.matmul(Bt, r[..., None])[..., 0]
-        R = weighted_size(r, M) / (weighted_size(f, M) if self.is_relative else 1.0)
-        return System(r, f, J, G @ B, M, R)
+        size = weighted_size(f, M) if self.is_relative else np.ones(n)
+        return System(np.matmul(Bt, r[..., None])[..., 0], f, J, G @ B, M, size)
