@@ -129,7 +129,8 @@ class Edge(Support, kind="edge"):
     def _on_line(self, site: Site, along: tuple[Vector, Vector], facets: np.ndarray) -> Held:
         """The edge evenly between two points of a straight line in space, held or free to slide."""
         line = sites.edge_line(site.mesh, self.edge, f"{site.scene.source}: {self.where} edge")
-        (first, last), share = map(site.scene.vector, along), line.arc / line.arc[-1]
+        first, last = map(site.scene.vector, along)
+        share = line.arc / line.arc[-1]
         nodes, places = sites.placed_along(site, line.nodes, first + share[:, None] * (last - first))
         places += site.factor * site.scene.vector(self.move)
         e = sites.unit_direction(last - first)
@@ -233,7 +234,8 @@ class Track(Hanging, kind="track"):
         InputError, which begins with `where`, if they contradict each other.
         """
         edge_length, (x, y) = edge.arc[-1], edge.points.T
-        middle, height = 0.5 * float(x.min() + x.max()), float(y.max()) if self.height is None else self.height
+        middle = 0.5 * float(x.min() + x.max())
+        height = float(y.max()) if self.height is None else self.height
         wanted = math.nan if self.fullness is None else edge_length / self.fullness
         radius, angle = self.radius, None if self.angle is None else math.radians(self.angle)
         if self.path is not None:

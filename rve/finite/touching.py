@@ -107,7 +107,7 @@ class Touching:
         return np.bincount(self.minima.pair, minlength=len(self.a))
 
     def greater(self, of: Array) -> Array:
-        """The greater value (p,) of the two rings of each pair, of rings (n,)."""
+        """The greater value (p,) of the rings (n,) of each pair."""
         return np.maximum(of[self.a], of[self.b])
 
     def central(self, mu: Array | float) -> Array:

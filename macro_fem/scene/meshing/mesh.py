@@ -95,7 +95,7 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     wheres = [f"{scene.source}: {what}" for what, _ in wanted]
     cut, edges, nodes = with_nodes_at(mesh.mesh, mesh.edges, np.array([at for _, at in wanted]), wheres)
     own = np.split(nodes, np.cumsum([len(places) for places, _ in rows.values()]))
-    hooks = {n: HookRow(nodes, pitch) for (n, (_, pitch)), nodes in zip(rows.items(), own[:-1], strict=True)}
+    hooks = {n: HookRow(hung, pitch) for (n, (_, pitch)), hung in zip(rows.items(), own[:-1], strict=True)}
     return replace(mesh, mesh=cut, edges=edges, hooks=hooks)
 
 
