@@ -5,6 +5,8 @@ How commands end: `rve.common.commands.command_line`.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +24,11 @@ from rve.common.commands.command_line import (
     say,
     say_next,
 )
-from rve.common.commands.sweeps import run_sweep, sweep_options
+from rve.common.commands.sweeps import SweepItem, absolute, run_sweep, sweep_options
 from rve.common.materials import MATERIALS, material_of
 from rve.common.rings import Joint, check_ring_size
 
-METHODS = ("direct", "stewart-trinkle")
+MOST_TABLES = 10_000
 FIT_FROM = 10
 """Rows from which a law is offered."""
 
@@ -121,7 +123,7 @@ def main() -> None:
 @click.option("--beta", help="Ratio angles in degrees, as --alpha.  [default: 0:90:5]")
 @click.option("--loads", type=click.Path(path_type=Path), help="CSV with alpha_deg, beta_deg instead of a grid.")
 @click.option("--graded", is_flag=True, help="403 directions, close where strains change fast, instead of a grid.")
-@_choice("--method", *METHODS, text="How locked states are found.")
+@_choice("--method", "direct", "stewart-trinkle", text="How locked states are found.")
 @click.option("--rings", is_flag=True, help="Add stiffness (dE/dS) and strength columns of the rings' own wire.")
 @click.option("--joint", help="With --rings: welded, butted:ANGLE (degrees from the grain) or butted:worst.")
 @explain_option
@@ -241,14 +243,43 @@ def sweep(
 
     The same command again runs only what is not finished. Exit code 1 if a table failed: sweep.csv says why.
     """
-    from rve.sweep import table_columns, table_items
-
     items = table_items(out, numbers_of(r1, "--r1"), numbers_of(r2, "--r2"), weave.split(","), grain, further)
     finished = run_sweep(items, out, table_columns, jobs=jobs, cluster=cluster)
     if finished[0]["rows_converged"] < FIT_FROM:
         return
     first = out / f"{finished[0]['name']}.csv"
     say_next("homogenize", "fit", first, "--out", first.with_name(f"{first.stem}_law.json"), why="a law from a table")
+
+
+def table_items(
+    out: Path, r1: Sequence[float], r2: Sequence[float], weave: Sequence[str], grain: str, further: Sequence[str]
+) -> list[SweepItem]:
+    """One table for each weave, r1 and r2 in mm, with `further` options of `rve table`; InputError for too many."""
+    cells = list(itertools.product(weave, r1, r2))
+    if not 0 < len(cells) <= MOST_TABLES:
+        raise InputError(f"--r1, --r2 and --weave: make {len(cells)} tables, at most {MOST_TABLES} are allowed")
+    for name in ("--out", "--r1", "--r2", "--weave", "--grain"):
+        if any(one.split("=")[0] == name for one in further):
+            raise InputError(f"{name}: is given by the sweep")
+    items = []
+    for name, big, small in cells:
+        r1_text, r2_text = (repr(float(one)).removesuffix(".0") for one in (big, small))  # another name for each number
+        table = out.resolve() / f"{name}_{grain}_r1-{r1_text}_r2-{r2_text}.csv"
+        asked = ("--weave", name, "--grain", grain, "--r1", repr(big), "--r2", repr(small))
+        arguments = ("table", "--out", str(table), *asked, *absolute(further))
+        items.append(SweepItem(table.stem, "rve", arguments, sidecar_path(table)))
+    return items
+
+
+def table_columns(record: dict[str, Any]) -> dict[str, Any]:
+    """What sweep.csv says of a table, from its sidecar: cell, reference cell, areal mass, rows by status."""
+    names = ("weave", "grain", "r1_mm", "r2_mm", "b_x_mm", "b_y_mm", "areal_mass_kg_per_m2")
+    rows = record.get("rows", {})
+    converged = rows.get("converged", 0)
+    return {name: record.get(name, "") for name in names} | {
+        "rows_converged": converged,
+        "rows_other": sum(rows.values()) - converged,
+    }
 
 
 @main.command(epilog="Example: rve study --out study")

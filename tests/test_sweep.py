@@ -18,8 +18,8 @@ from click.testing import CliRunner
 from homogenize.io import DEFAULT_LAW
 from macro_fem.cli import main as macro_fem
 from rve.cli import main as rve
+from rve.cli import table_items
 from rve.common.commands.sweeps import Ended, SweepItem, _end_with_parent, run_item, sweep
-from rve.sweep import table_items
 from tests.squares import write_square
 
 ROOT = Path(__file__).resolve().parents[1]
