@@ -26,7 +26,7 @@ import numpy as np
 
 from rve.common.commands.command_line import Command, answer, no_picture, say, say_next
 from rve.common.errors import noted_if_stopped, require
-from rve.common.files import check_out_job, job, write_text
+from rve.common.files import beside, check_out_job, job, write_text
 
 ACCURACY = click.FloatRange(min=1e-4, max=1.0)
 FOLDER = click.Path(path_type=Path, file_okay=False)
@@ -158,7 +158,7 @@ def main(out: Path, cells: int | None, accuracy: float | None) -> None:
     found = run(out, setting)
     say(f"done in {time.perf_counter() - began:.1f} s; see {out}/cell.png, {out}/law, {out}/curtain/curtain.png")
     answer(found)
-    words = ("localize", out / "curtain", "--out", f"{out}_rings", *no_picture("pyvista"))
+    words = ("localize", out / "curtain", "--out", beside(out, "rings"), *no_picture("pyvista"))
     say_next("macro_fem", *words, why="every ring of the curtain")
 
 

@@ -9,7 +9,16 @@ from typing import Any
 
 import click
 
-from rve.common import InputError, check_out_file, check_out_job, json_text, read_json_object, require, write_text
+from rve.common import (
+    InputError,
+    beside,
+    check_out_file,
+    check_out_job,
+    json_text,
+    read_json_object,
+    require,
+    write_text,
+)
 from rve.common.commands.command_line import Group, answer, no_picture, options, say, say_next
 from rve.common.commands.sweeps import SweepItem, absolute, run_sweep, sweep_options
 
@@ -191,7 +200,7 @@ def _say_next_of_curtain(out: Path, count: int | None) -> None:
     if count is None:
         return
     words: list[Any] = ["--max-rings", round(1.05 * count)] if count > MOST_RINGS else []
-    words += ["--out", f"{out}_rings", *no_picture("pyvista")]
+    words += ["--out", beside(out, "rings"), *no_picture("pyvista")]
     say_next("macro_fem", "localize", out, *words, why="every ring, and the forces in the worst cell")
 
 
@@ -283,5 +292,5 @@ def localize(curtain: Path, out: Path, window: str | None, max_rings: int, **fil
     found = run_localize(curtain, out, LocalizeOptions(parse_window(window), max_rings), **files)
     say(*ring_field_lines(found, out))
     answer(found)
-    words = ["--out", f"{out}_tubes", *([] if window is None else ["--window", window])]
+    words = ["--out", beside(out, "tubes"), *([] if window is None else ["--window", window])]
     say_next("macro_fem", "localize", curtain, *words, "--tubes", "--no-picture", why="wires for ParaView")

@@ -67,9 +67,8 @@ def locked_states(alpha_deg: Array, beta_deg: Array, cell: Cell, options: Direct
 def reference_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
     """Sides b_x, b_y in mm of the reference cell: locked under a pull along the grain. Raises NotConverged.
 
-    options.reference = "side-by-side" imposes the symmetry of the grain: b_x = 2 (r1 + r2) at every r1/r2. From r1/r2
-    of about 20 on rings may slide over each other instead, and the mesh is then up to 6 % longer along the grain and a
-    third narrower: "locked" takes the sides of that longest state (docs/theory.md, 3).
+    options.reference = "side-by-side" imposes the symmetry of the grain: b_x = 2 (r1 + r2) at every r1/r2. "locked"
+    takes the longest state, in which rings slide over each other from r1/r2 of about 20 on (docs/theory.md, 3).
     """
     x2, x3 = lattice_mm(reference_pose(cell, options), cell)
     return float(x2[0, 0]), float(x3[0, 1])
@@ -195,9 +194,8 @@ def _loaded(cell: Cell, options: DirectOptions, sides_mm: tuple[float, float]) -
 def largest_states(
     states: LockedStates, rows: RowStates, s: Array, options: DirectOptions, sides_mm: tuple[float, float]
 ) -> tuple[LockedStates, RowStates, Flags]:
-    """Locked states under the Cauchy loads s (n, 3) with those of largest work in their cell; the rows; the rows (n,)
-    that a known state still contradicts. Each coexisting one has the Cauchy load of size 1 that it carries in its own
-    pose, and its forces."""
+    """Locked states of largest work in their cell under the Cauchy loads s (n, 3); the rows; the rows (n,) that a known
+    state still contradicts. A coexisting state has the unit Cauchy load that it carries in its own pose."""
     mesh = _loaded(states.cell, options, sides_mm)
     rows, found, changed, left = largest_rows(rows, states.found, s, mesh)
     unique, loads, lam = states.unique.copy(), states.s.copy(), found.lam.copy()
@@ -227,7 +225,7 @@ def branch_record(table: StrainTable, first: RowStates, rows: RowStates, left: F
 def table_rows(
     alpha: Array, beta: Array, cell: Cell, found: Equilibrium, unique: NDArray[np.bool_], sides: tuple[float, float]
 ) -> StrainTable:
-    """RowStates of a table from equilibria, for a reference cell with these sides in mm."""
+    """The table of equilibria, for a reference cell with these sides in mm."""
     x2, x3 = lattice_mm(found.pose, cell)
     F = np.stack([x2 / sides[0], x3 / sides[1]], axis=2)
     E, S = green_lagrange(F), second_pk(F, cauchy_line_load(alpha, beta))

@@ -1,8 +1,8 @@
-"""Strain-load table, one row per load direction, and its file.
+"""Strain-load table, one row per load direction, and its file: a CSV with its provenance in a JSON of the same name.
 
-Symmetric tensors are triples (11, 12, 22); S is the second Piola-Kirchhoff line load of a
-unit Cauchy load (s1^2 + s2^2 = 1); `unique` is 0 where the load leaves the strain free to move (E is then the
-limit from inside the tensile cone). The file is a CSV with one header line, its provenance a JSON of the same name.
+Symmetric tensors are triples (11, 12, 22); S is the second Piola-Kirchhoff line load of a unit Cauchy load
+(s1^2 + s2^2 = 1); `unique` is 0 where the load leaves the strain free (E is then the limit from inside the tensile
+cone).
 """
 
 from __future__ import annotations
@@ -148,10 +148,9 @@ def check_out_table(path: AnyPath, option: str = "--out", inputs: Inputs = ()) -
 
 
 def write_table(table: StrainTable, path: AnyPath) -> None:
-    """Write the CSV and its sidecar JSON, both or none; an unknown number is an empty cell.
+    """Write the CSV and its sidecar JSON, which holds the SHA-256 of the CSV; an unknown number is an empty cell.
 
-    The sidecar holds the SHA-256 of the CSV, which `read_table` checks. Raises InputError where they cannot be written,
-    or would overwrite something else (`check_out_table`).
+    InputError where they cannot be written, or would overwrite something else (`check_out_table`).
     """
     check_out_table(path, "table")
     target, sidecar = Path(path), sidecar_path(path)

@@ -89,6 +89,16 @@ def sidecar_path(path: AnyPath) -> Path:
     return table.with_suffix(".json") if table.name else table  # "." and "/" have no name to change
 
 
+def beside(path: AnyPath, ending: str) -> Path:
+    """A new name for what belongs to a file or folder: "curtain" and "rings" give "curtain_rings".
+
+    >>> print(beside("curtain", "rings"), beside(".", "rings"))
+    curtain_rings rings
+    """
+    known = Path(path)
+    return known.with_name(f"{known.name}_{ending}") if known.name not in ("", "..") else known / ending
+
+
 def check_out_file(path: AnyPath, option: str = "--out", inputs: Inputs = (), *, is_sidecar: bool = False) -> None:
     """InputError for a file that cannot be written, or is read: one of `inputs` or its sidecar, by any name.
 
@@ -211,7 +221,7 @@ def _listed(folder: Path, record: str) -> dict[str, str]:
 def check_belongs(path: AnyPath, record: AnyPath, known: dict[str, Any], remedy: str) -> None:
     """InputError if the record `known`, read from the file `record`, lists files and none has the content of `path`.
 
-    Records of older versions list none and are believed. Files may be renamed: they are told by their content.
+    Records of older versions list none and are believed. Files may be renamed.
     """
     sums = known.get("files")
     if sums is not None and not (isinstance(sums, dict) and checksum(path) in sums.values()):

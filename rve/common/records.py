@@ -1,4 +1,4 @@
-"""Records of arrays with one row per case: rows taken, replaced and joined, written once for all records."""
+"""Arrays, and records of arrays with one row per case: rows taken, replaced and joined."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ Flags = NDArray[np.bool_]
 class Rows:
     """Base of frozen dataclasses whose arrays, and whose fields that are Rows, have the case as first axis.
 
-    Other fields belong to all cases and stay as they are. Every method returns a new record; no array is written in
-    place.
+    Other fields belong to all cases. Every method returns a new record; no array is written in place.
 
     >>> from dataclasses import dataclass
     >>> @dataclass(frozen=True)

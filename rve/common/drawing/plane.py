@@ -40,7 +40,7 @@ def new_axes(width: float = 7.0, height: float = 5.2) -> Any:
 
 
 def viridis() -> ListedColormap:
-    """The map viridis without its lightest part, which lines and marks on white cannot have."""
+    """The map viridis without its lightest part, for lines and marks on white."""
     import matplotlib
     from matplotlib.colors import ListedColormap
 
