@@ -124,8 +124,7 @@ def inertia_of(moving: Moving, change: Difference, forces: Forces) -> Inertia:
     aim = m[:, None] * change.x_hat + times(resist, change.X)
     x_hat: Array = np.linalg.solve(W, aim[:, :, None])[:, :, 0].astype(float)
     momentum = float((mass[:, None] * np.abs(change.V)).sum()) / change.beta_h
-    kinetic = 0.5 * float((mass[:, None] * change.V**2).sum())
-    return Inertia(moving.fem, W, x_hat, momentum, kinetic)
+    return Inertia(moving.fem, W, x_hat, momentum, kinetic_energy(mass, change.V))
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,8 @@ TABLE_FORMAT = "ring-mesh strain-load table"
 """The entry `format` of a table's sidecar."""
 HIDDEN = ".part-"
 """Begins the names of temporary files and folders; what a killed process leaves of them may be removed."""
+MOST_JSON_BYTES = 32_000_000
+"""Parsing takes up to thirty times the bytes of a JSON file; a law of 5,000 half-spaces has 0.5 MB."""
 UNREADABLE = (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
 """What JSON that is missing, damaged or of another kind raises where its entries are used."""
 
@@ -251,7 +253,8 @@ class Cache:
         if self.folder is None:
             return None
         try:
-            found: dict[str, Any] = json.loads(Path(self.folder, _file_name(question)).read_bytes())
+            with Path(self.folder, _file_name(question)).open("rb") as file:
+                found: dict[str, Any] = json.loads(file.read(MOST_JSON_BYTES))
             known = found.pop("sha256")
             is_whole = known == _digest(found) and _digest(found["question"]) == _digest(question)
             is_current = is_whole and all(checksum(name) == one for name, one in found["files"].items())

@@ -20,13 +20,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rve.common.errors import InputError, shown
-from rve.common.files import AnyPath
+from rve.common.files import MOST_JSON_BYTES, AnyPath
 
 if TYPE_CHECKING:
     from rve.common.records import Array
 
-MOST_JSON_BYTES = 32_000_000
-"""Parsing takes up to thirty times the bytes of a JSON file; a law of 5,000 half-spaces has 0.5 MB."""
 MOST_TOML_BYTES = 1_000_000
 MOST_CSV_BYTES = 200_000_000
 

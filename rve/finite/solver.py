@@ -92,14 +92,15 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
         product *= options.tolerance / max(options.tolerance, _PRODUCT * options.last)
         merit, has_arrived = max(residual, product), np.abs(task.way_left(state.touching.placed)).max() < 1e-12
         is_last = state.mu <= options.last
-        if has_arrived and is_last.all() and merit < options.tolerance:
+        is_end = bool(has_arrived and is_last.all())
+        if is_end and merit < options.tolerance:
             if is_minimum:
                 status = "converged"
                 break
             if task.inertia is not None:
                 # A time step needs no more damping here; whether its matrix is positive definite shows without it.
                 state = replace(state, damping=0.0, local=0.0 * state.local, convex=0.0 * state.convex)
-        if has_arrived and is_last.all() and merit < least:
+        if is_end and merit < least:
             least, finest = merit, state
         pace = pace.after(merit, state.gain)
         # Calm: the last step of Newton's method at this mu could have gained next to nothing.
@@ -114,13 +115,14 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
             if (is_over & (pace.lifts == options.retries)).any():
                 status = "stalled"
                 break
-            if is_over.any() and is_last.all():
+            is_stuck = is_end and is_over.any()
+            if is_stuck:
                 # Points beside a minimum move with it and may keep a last residual: the next end goes without them.
                 task = replace(task, beside=not task.beside)
             mu, is_lifted = _next_mu(state, task, is_calm, is_over, options)
             pace = pace.at_next(mu != state.mu, is_lifted)
             state, reach = replace(state, mu=mu), _reach(options, float(mu.max()))
-            if reach != state.touching.reach or (is_over.any() and is_last.all()):
+            if reach != state.touching.reach or is_stuck:
                 state = state.at(task.find(state.touching.placed, reach))
                 G = gradients(state.touching)
         state, record, is_minimum = _advance(state, task, G, factorize)
@@ -137,10 +139,11 @@ def _next_mu(state: State, task: Task, is_calm: Flags, is_over: Flags, options: 
     # Where a fold runs through the mesh at a small mu, every ring it meets shortens the steps; at a higher mu it
     # passes in a few.
     con, level = state.touching, np.where(is_over, _LIFT * state.mu, 0.0)
+    felt = con.count > 0
     for _ in range(_LINKS):
-        near = con.greater(level)[con.count > 0]
+        near = con.greater(level)[felt]
         for end in (con.a, con.b):
-            np.maximum.at(level, end[con.count > 0], near)
+            np.maximum.at(level, end[felt], near)
     level = np.minimum(level, _HIGHEST if _is_together(state, task) else 0.9 * _TOGETHER)
     is_lifted = level > state.mu
     lower = np.maximum(options.last, np.minimum(_SHRINK * state.mu, state.mu**_POWER))
@@ -263,5 +266,6 @@ def _gain(now: Iteration, step: Step) -> Array:
 
 
 def _is_together(state: State, task: Task) -> bool:
-    """Whether all rings have the same mu: at a large one folds form all over the mesh, and over floors rings slide."""
+    """Whether all rings have the same mu: at a large one folds form all over the mesh, over floors rings slide, and a
+    time step has few iterations."""
     return bool(state.mu.max() >= _TOGETHER or state.touching.placed.walls or task.inertia is not None)

@@ -151,8 +151,8 @@ class State:
         """The iterate with other contacts, forces handed on."""
         row = of_pairs(self.touching.key, touching.key)
         local, convex = (np.where(row >= 0, of[row], 0.0) for of in (self.local, self.convex))
-        force = handed_on(self.touching, self.force, touching, touching.greater(self.mu)[touching.minima.pair])
-        return replace(self, touching=touching, force=force, local=local, convex=convex)
+        new = replace(self, touching=touching, local=local, convex=convex)
+        return replace(new, force=handed_on(self.touching, self.force, touching, new.contact_mu))
 
 
 @dataclass(frozen=True, eq=False)

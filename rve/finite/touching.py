@@ -21,6 +21,7 @@ from rve.geometry.circles import (
     followed_minima,
     foot_on_circle,
     local_minima,
+    norm,
     rotation,
     turned,
 )
@@ -176,7 +177,7 @@ def _beside_soft(minima: Minima, d: Array, na: Array, nb: Array, wire: float, li
         rho_a = np.cos(aside)[:, None] * rows.rho_a + sign * np.sin(aside)[:, None] * tau
         rho_b = foot_on_circle(rho_a - d[rows.pair], nb[rows.pair], 1.0)
         w = d[rows.pair] + rho_b - rho_a
-        distance = np.sqrt(dot(w, w))
+        distance = norm(w)
         found = Minima(rows.pair, w / distance[:, None], rho_a, rho_b, distance, np.ones(len(distance)))
         parts.append(found.take(distance <= limit))
     return parts
@@ -243,10 +244,6 @@ def handed_on(old: Touching, force: Array, new: Touching, mu: Array) -> Array:
     return out
 
 
-def _size(u: Array) -> Array:
-    return np.asarray(np.sqrt(dot(u, u)))
-
-
 def ways(con: Touching, q: Array) -> Array:
     """A bound (p,) on the way of any point of ring b as seen from ring a in the step q (n, 5), for every near pair.
 
@@ -265,10 +262,10 @@ def ways(con: Touching, q: Array) -> Array:
     det = aa * bb - ab * ab
     sa, sb = (bb * ra - ab * rb) / det, (aa * rb - ab * ra) / det
     turn, shift = turn + sb[:, None] * nb - sa[:, None] * na, shift - sa[:, None] * arm
-    changing_a, changing_b = np.abs(sa) * _size(wa), np.abs(sb) * _size(wb)
-    late = (1.0 + _size(d) + _size(v)) * changing_a + changing_b + (_size(wa) + np.abs(sa)) * _size(v)
-    plain = _size(v) + _size(wa) + _size(wb)
-    return np.asarray(np.minimum(plain, _size(shift) + _size(turn) + 0.5 * late))
+    changing_a, changing_b = np.abs(sa) * norm(wa), np.abs(sb) * norm(wb)
+    late = (1.0 + norm(d) + norm(v)) * changing_a + changing_b + (norm(wa) + np.abs(sa)) * norm(v)
+    plain = norm(v) + norm(wa) + norm(wb)
+    return np.asarray(np.minimum(plain, norm(shift) + norm(turn) + 0.5 * late))
 
 
 def safe_parts(con: Touching, q: Array) -> Array:
@@ -294,9 +291,9 @@ def is_passage_safe(old: Touching, new: Touching, q: Array) -> bool:
     x0, x1 = (con.placed.x[: con.placed.rings] for con in (old, new))
     step = x1 - x0
     step = step - 0.5 * (step.max(axis=0) + step.min(axis=0))
-    pairs = cKDTree(0.5 * (x0 + x1)).query_pairs(2.0 + float(_size(step).max()), output_type="ndarray")
+    pairs = cKDTree(0.5 * (x0 + x1)).query_pairs(2.0 + float(norm(step).max()), output_type="ndarray")
     a, b = pairs.astype(np.int64).min(axis=1), pairs.astype(np.int64).max(axis=1)
     far = of_pairs(old.key, a * len(old.placed.x) + b) < 0
     way, d0, d1 = (u[b[far]] - u[a[far]] for u in (step, x0, x1))
-    beyond = np.maximum(_size(d0) - 2.0, 0.0) + np.maximum(_size(d1) - 2.0, 0.0)
+    beyond = np.maximum(norm(d0) - 2.0, 0.0) + np.maximum(norm(d1) - 2.0, 0.0)
     return not (dot(way, way) >= beyond**2).any()

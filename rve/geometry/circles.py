@@ -43,6 +43,11 @@ def dot(a: Array, b: Array) -> Array:
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
 
 
+def norm(a: Array) -> Array:
+    """Lengths of vectors along the last axis."""
+    return np.asarray(np.sqrt(dot(a, a)))
+
+
 def cross(a: Array, b: Array) -> Array:
     """Vector product over the last axis, written out: several times faster than np.cross on many short rows."""
     out = np.empty(np.broadcast_shapes(a.shape, b.shape))
@@ -71,15 +76,15 @@ def rotation(n: Array, tilt: Array) -> Array:
 def turned(n: Array, tilt: Array) -> Array:
     """Unit normals n (..., 3) turned by tilts (..., 2), see `rotation`, by the exponential map."""
     omega = rotation(n, tilt)
-    angle = np.sqrt(dot(omega, omega))[..., None]
+    angle = norm(omega)[..., None]
     new = np.cos(angle) * n + np.sinc(angle / np.pi) * cross(omega, n)
-    return np.asarray(new / np.sqrt(dot(new, new))[..., None])
+    return np.asarray(new / norm(new)[..., None])
 
 
 def foot_on_circle(p: Array, n: Array, r: float) -> Array:
     """Point of the circle (centre 0, unit normal n, radius r) closest to p (..., 3), one of many for p on its axis."""
     q = p - dot(p, n)[..., None] * n
-    length = np.sqrt(dot(q, q))
+    length = norm(q)
     on_axis = length <= 1e-14 * r
     if np.any(on_axis):
         q = np.where(on_axis[..., None], tangent_frame(n)[0], q)
@@ -160,7 +165,7 @@ def _polish(
     rho_a = r1 * (np.cos(angle)[:, None] * e1 + np.sin(angle)[:, None] * e2)
     rho_b = foot_on_circle(rho_a - d, n_b, r1)
     w = d + rho_b - rho_a
-    distance = np.maximum(np.sqrt(dot(w, w)), 1e-12 * r1)
+    distance = np.maximum(norm(w), 1e-12 * r1)
     curvature = _slope_and_curvature(angle, lines, r1)[1] * distance / r1**2
     return angle, Minima(pair, w / distance[:, None], rho_a, rho_b, distance, curvature)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common import Array, Flags, Index, Rows
-from rve.geometry.circles import Minima, are_linked, cross, dot, foot_on_circle, local_minima
+from rve.geometry.circles import Minima, are_linked, cross, dot, foot_on_circle, local_minima, norm
 from rve.geometry.pose import Pose, pair_geometry
 from rve.geometry.weave import Weave
 
@@ -87,7 +87,7 @@ def gap_bound(contacts: CellContacts, pose: Pose, weave: Weave, wire: float) -> 
     rho_a = foot_on_circle(d + foot_on_circle(near.rho_b, nb, 1.0), na, 1.0)
     way = d + foot_on_circle(rho_a - d, nb, 1.0) - rho_a
     gap = np.full(contacts.present.shape, np.inf)
-    gap[contacts.present] = np.sqrt(dot(way, way)) - 2.0 * wire
+    gap[contacts.present] = norm(way) - 2.0 * wire
     return np.asarray(gap.reshape(len(gap), -1).min(axis=1))
 
 
@@ -106,7 +106,7 @@ def parallel_clearance(before: Pose, after: Pose, weave: Weave, wire: float, sam
     (d0, n0, _), (d1, n1, _) = pair_geometry(before, weave), pair_geometry(after, weave)
     t = (np.arange(1, samples) / samples)[:, None, None, None]
     d, n = ((1.0 - t) * x[:, same] + t * y[:, same] for x, y in ((d0, d1), (n0, n1)))
-    h = dot(d, n) / np.sqrt(dot(n, n))
+    h = dot(d, n) / norm(n)
     rho = np.sqrt(np.maximum(dot(d, d) - h**2, 0.0))
     distance = np.where(rho <= 2.0, np.abs(h), np.hypot(rho - 2.0, h))
     return np.asarray(distance.min(axis=(0, 2), initial=np.inf) - 2.0 * wire)
