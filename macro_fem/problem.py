@@ -126,16 +126,15 @@ def placed_obstacles(problem: CurtainProblem) -> list[PlacedObstacle]:
 def _check_outside(one: PlacedObstacle, problem: CurtainProblem) -> None:
     """InputError for a support inside an obstacle that no way in which it may slide leads out of."""
     scene, supports, disc = problem.scene, problem.supports, problem.disc
-    x = supports.positions
-    normal = one.normal(x)
-    walls = Walls(disc.at_nodes, normal, one.offset(normal), np.full(disc.n_nodes, one.number))
-    deep = np.where(walls.is_movable(problem.fem), 0.0, -walls.gap(x))
+    walls = touching_walls(one, disc.at_nodes, supports.positions)
+    deep = np.where(walls.is_movable(problem.fem), 0.0, -walls.gap(supports.positions))
     if deep.max(initial=0.0) <= TOUCHED * problem.mesh.size:
         return
     node = int(deep.argmax())
     name = next(held.name for held in supports.held if node in held.nodes)
     at = f" after {problem.factor:.3g} of the prescribed moves" if scene.load.steps > 1 else ""
-    ways = [told(way) for way in supports.pins.direction[supports.pins.nodes == node] if abs(way @ normal[node]) > 1e-9]
+    pins, normal = supports.pins, walls.normal[node]
+    ways = [told(way) for way in pins.direction[pins.nodes == node] if abs(way @ normal) > 1e-9]
     slides = f", and nothing but that holds it along {ways[0]}: hold it there, outside" if ways else ""
     raise InputError(
         f"{scene.source}: [obstacle] {one.obstacle.name}: {name} is {deep[node]:.4g} mm inside it{at}{slides}"
@@ -153,9 +152,14 @@ def meeting_points(obstacle: Obstacle, disc: Discretization) -> Points:
 def tangent_walls(body: PlacedObstacle, fem: SupportedFem, x: Array) -> Walls:
     """The half-spaces that touch a body where it is closest to the points that meet it and can move, for nodes at x."""
     at = meeting_points(body.obstacle, fem.disc)
-    normal = body.normal(at.places(x))
-    free = np.flatnonzero((np.not_equal(at.share, 0.0) & ~np.all(fem.held, axis=1)[at.node]).any(axis=1))
-    return Walls(at.take(free), normal[free], body.offset(normal[free]), np.full(len(free), body.number))
+    at = at.take(np.flatnonzero((np.not_equal(at.share, 0.0) & ~np.all(fem.held, axis=1)[at.node]).any(axis=1)))
+    return touching_walls(body, at, at.places(x))
+
+
+def touching_walls(body: PlacedObstacle, at: Points, places: Array, radius: Array | float = 0.0) -> Walls:
+    """The half-spaces of points at places (m, d) that touch a body where it is closest to each, a radius (m,) off."""
+    normal = body.normal(places)
+    return Walls(at, normal, body.offset(normal) + radius, np.full(len(places), body.number))
 
 
 def stabilising_tension(problem: CurtainProblem) -> float:

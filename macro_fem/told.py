@@ -26,8 +26,7 @@ def default_law_lines(given: Path | None) -> list[str]:
 def curtain_lines(summary: dict[str, Any], out: Path, *, explain: bool) -> Iterator[str]:
     """How a curtain ended, its numbers, what to order, and whether it holds; `explain`: what was used and left out."""
     yield f"{summary['status']}: {summary['message']}"
-    heights = f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm"
-    yield f"{heights}, largest line load {summary['max_principal_line_load_N_per_mm']:.4g} N/mm"
+    yield f"{_heights(summary)}, largest line load {summary['max_principal_line_load_N_per_mm']:.4g} N/mm"
     sizes = f"{summary['cells']} cells, {summary['dofs']} unknowns, {summary['iterations']} iterations"
     yield f"{sizes}, {summary['wall_s']:.2f} s; written to {out}"
     yield from hooks_lines(summary)
@@ -40,6 +39,10 @@ def curtain_lines(summary: dict[str, Any], out: Path, *, explain: bool) -> Itera
         yield interval_line(summary)
     if explain:
         yield from feature_lines(summary["features"])
+
+
+def _heights(summary: dict[str, Any]) -> str:
+    return f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm"
 
 
 def motion_lines(summary: dict[str, Any], out: Path) -> list[str]:
@@ -58,12 +61,11 @@ def every_ring_lines(summary: dict[str, Any], out: Path) -> list[str]:
     if summary["status"] != "out-of-reach":
         largest, residual = summary["largest_contact_force_N"], summary["kkt_residual"]
         left = f"largest contact force {largest:.4g} N, residual {residual:.1e}"
-    heights = f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm"
     gap = f"smallest gap {summary['min_gap_mm']:.1e} mm, {summary['iterations']} iterations"
     return [
         f"{summary['status']}: {summary['message']}",
         *summary["notes"],
-        f"{summary['ring_count']} rings, {heights}",
+        f"{summary['ring_count']} rings, {_heights(summary)}",
         left,
         f"{gap}, {summary['wall_s']:.2f} s; written to {out}",
     ]

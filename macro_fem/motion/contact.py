@@ -7,7 +7,7 @@ from scipy import sparse
 
 from macro_fem.fem.discretization import Points
 from macro_fem.motion.step import Stepped
-from macro_fem.problem import CurtainProblem, placed_obstacles, tangent_walls
+from macro_fem.problem import CurtainProblem, placed_obstacles, tangent_walls, touching_walls
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.obstacles import PlacedObstacle
 from macro_fem.solution import CurtainSolution
@@ -67,9 +67,8 @@ class Contacts:
         radius = np.array([ball.radius for ball in self.balls])
         found = list[Walls]()
         for one in self.obstacles if self.balls else ():
-            normal = one.normal(centres)
             at = Points(self.n + number[:, None], np.ones((len(number), 1)))
-            found.append(Walls(at, normal, one.offset(normal) + radius, np.full(len(number), one.number)))
+            found.append(touching_walls(one, at, centres, radius))
         i, j = (np.asarray(one) for one in np.triu_indices(len(number), 1))
         away = centres[i] - centres[j]
         normal = away / np.maximum(np.linalg.norm(away, axis=1), 1e-300)[:, None]
