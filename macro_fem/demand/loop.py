@@ -55,6 +55,15 @@ SENTENCES = {
 
 
 @dataclass(frozen=True)
+class Limits:
+    """Triangles, ring problems and turns at which a run gives up."""
+
+    cells: int = 30_000
+    solves: int = 3_000
+    turns: int = 60
+
+
+@dataclass(frozen=True)
 class Turn:
     """One turn: triangles, rows known, ring problems solved and read so far, bounds and their law's part; the lower
     bound is nan in turns that only asked the rings."""
@@ -106,15 +115,12 @@ def solve_on_demand(
     *,
     known: LawInterval | None = None,
     cache: Cache = NO_CACHE,
-    most_cells: int = 30_000,
-    most_solves: int = 3_000,
-    most_turns: int = 60,
+    limits: Limits = Limits(),
 ) -> Demand:
     """The curtain of a scene of these rings at its full load, its interval narrowed to `accuracy`, see `OnDemand`.
 
-    known: what is known of the rings to begin with; most_...: limits of triangles, ring problems and turns at which the
-    run gives up. The answer is the last admissible curtain, whose potential is the upper end of the interval.
-    InputError if the scene makes no sense or its supports are out of reach.
+    known: what is known of the rings to begin with. The answer is the last admissible curtain, whose potential is the
+    upper end of the interval. InputError if the scene makes no sense or its supports are out of reach.
     """
     began, rings = time.perf_counter(), Rings(cell, cache, known)
     law = rings.law() if known is not None else rings.learn(first_directions(rings.is_mirrored))
@@ -122,7 +128,7 @@ def solve_on_demand(
     last: CurtainSolution | None = None
     level: Level | None = None
     share, ended = FIRST_GAP, ("turn_limit", SENTENCES["turn_limit"])
-    while len(turns) < most_turns:
+    while len(turns) < limits.turns:
         with part_of(_line(mesh, rings, level), 0.0, 1.0):
             solution, law = _hang(scene, rings, mesh, law, last, LOST if level is None else 0)
         if solution.status != "converged":
@@ -134,7 +140,7 @@ def solve_on_demand(
         scale = _scale(solution)
         allowed = LAW_SHARE * max(accuracy, share) * scale
         before, inner = len(rings.x), law.inner
-        law = _narrow(rings, law, solution, allowed, most_solves)
+        law = _narrow(rings, law, solution, allowed, limits.solves)
         part = _loads(solution, law, inner).law_part
         is_known = part <= AGAIN * allowed or len(rings.x) == before
         if is_known:
@@ -147,9 +153,9 @@ def solve_on_demand(
         if not is_known:
             continue
         level = new if level is None or new.bounds.status == "converged" else level
-        status = _find_end(new, turns, accuracy, most_cells)
+        status = _find_end(new, turns, accuracy, limits.cells)
         if status is not None:
-            why: dict[str, Any] = {"cells": most_cells, "solves": most_solves, "failed": rings.failed}
+            why: dict[str, Any] = {"cells": limits.cells, "solves": limits.solves, "failed": rings.failed}
             why |= {"law": float(new.bounds.law_part or 0.0) / scale, "bound": new.bounds.status, "raised": law.raised}
             # then some h are not the largest work
             status = "contradiction" if status == "converged" and law.raised > GAIN else status

@@ -18,7 +18,16 @@ from macro_fem.motion.contact import Contacts
 from macro_fem.motion.pace import Failed, Frame, Mover, Run
 from macro_fem.motion.scheme import Moment, difference
 from macro_fem.motion.stage import forces_at, let_go, masses_of, scene_at, stored_energy, weights_of
-from macro_fem.motion.step import Account, Moving, Stepped, kinetic_energy, next_account, solve_step, support_forces
+from macro_fem.motion.step import (
+    Account,
+    Moving,
+    Stepped,
+    Worked,
+    kinetic_energy,
+    next_account,
+    solve_step,
+    support_forces,
+)
 from macro_fem.output import strength
 from macro_fem.output.files import write_vtu
 from macro_fem.output.pictures import figures, side_by_side
@@ -142,13 +151,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         P = end.result.P
         held = support_forces(moving, change, forces, end, internal_force(fem.disc, P))
         moved, touched = contacts.work(end, now.x)
-        account = next_account(
-            frame.account,
-            moving.mass,
-            change,
-            now,
-            forces,
-            end.x,
+        worked = Worked(
             held,
             end.pushes,
             inner=float((fem.disc.weight[:, None, None] * P * (F[1] - F[0])).sum()),
@@ -156,6 +159,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             moved=moved,
             touched=touched,
         )
+        account = next_account(frame.account, moving.mass, change, now, forces, end.x, worked)
         return MotionFrame(
             moment=Moment(now.t + h, end.x, change.velocity(end.x)),
             account=account,

@@ -16,7 +16,7 @@ import numpy as np
 from macro_fem.motion.pace import Failed, Frame, Mover, Run
 from macro_fem.motion.scheme import Moment, difference
 from macro_fem.motion.stage import TONNE, relative_wind, scene_at
-from macro_fem.motion.step import Account, Forces, kinetic_energy, next_account
+from macro_fem.motion.step import Account, Forces, Worked, kinetic_energy, next_account
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
 from macro_fem.scene.loads import PER_MM2, areal_mass
@@ -177,18 +177,8 @@ class MovingRings(Mover[RingFrame, RingScene]):
         pushed = zip(rings.wall_force, asked.walls, way, strict=False)
         x = ring_places(rings)
         moved = sum(float(push @ wall.unit) * d for push, wall, d in pushed)
-        account = next_account(
-            frame.account,
-            mass,
-            change,
-            now,
-            forces,
-            x,
-            np.concatenate([rings.reaction, none]),
-            end.pushes,
-            moved=moved,
-            touched=end.touched,
-        )
+        worked = Worked(np.concatenate([rings.reaction, none]), end.pushes, moved=moved, touched=end.touched)
+        account = next_account(frame.account, mass, change, now, forces, x, worked)
         moment = Moment(now.t + h, x, change.velocity(x))
         return RingFrame(moment=moment, account=account, iterations=rings.iterations, rings=rings, asked=asked)
 

@@ -164,44 +164,43 @@ def support_forces(moving: Moving, change: Difference, forces: Forces, end: Step
     return np.where(moving.fem.held, rest, 0.0)
 
 
-def next_account(
-    last: Account,
-    mass: Array,
-    change: Difference,
-    now: Moment,
-    forces: Forces,
-    x: Array,
-    supports: Array,
-    pushes: Array,
-    *,
-    inner: float = 0.0,
-    stored: float | None = None,
-    moved: float = 0.0,
-    touched: float = 0.0,
-) -> Account:
-    """The account after a step of masses (n,) from `now` to positions x (n, d) under forces of supports and of
-    contacts, `pushes` (n, d), in N.
+@dataclass(frozen=True, eq=False)
+class Worked:
+    """Forces of supports and of contacts, `pushes` (n, d), in N, and what they and the law have done in a step, N mm.
 
-    In N mm: inner, sum of w P+:(F+ - F_n); stored, the change of Psi of an elastic law, None of a rigid one; moved,
-    pushes times the moves of obstacles along them; touched, pushes times the gaps at x_n.
+    inner: sum of w P+:(F+ - F_n); stored: the change of Psi of an elastic law, None of a rigid one; moved: pushes times
+    the moves of obstacles along them; touched: pushes times the gaps at x_n.
     """
+
+    supports: Array
+    pushes: Array
+    inner: float = 0.0
+    stored: float | None = None
+    moved: float = 0.0
+    touched: float = 0.0
+
+
+def next_account(
+    last: Account, mass: Array, change: Difference, now: Moment, forces: Forces, x: Array, worked: Worked
+) -> Account:
+    """The account after a step of masses (n,) from `now` to positions x (n, d)."""
     dx, v, a = x - now.x, change.velocity(x), change.acceleration(x)
     live = forces.live if forces.drag is None else forces.live - (forces.drag @ v[:, :, None])[:, :, 0]
     kinetic, resist = kinetic_energy(mass, v), forces.damping * mass
     damped = 2.0 * change.h * kinetic_energy(resist, v)
     dashpot = float((resist[:, None] * v * dx).sum())
-    contact = moved - float((pushes * dx).sum())
+    contact = worked.moved - float((worked.pushes * dx).sum())
     return Account(
         kinetic=kinetic,
         potential=last.potential - float((forces.dead * dx).sum()),
-        stored=last.stored + (stored or 0.0),
-        work=last.work + float(((live + supports) * dx).sum()) + moved,
+        stored=last.stored + (worked.stored or 0.0),
+        work=last.work + float(((live + worked.supports) * dx).sum()) + worked.moved,
         lost_by_scheme=last.lost_by_scheme
         + float((mass[:, None] * a * dx).sum())
         - (kinetic - kinetic_energy(mass, now.v))
         + (dashpot - damped)
-        + (contact - touched)
-        + (0.0 if stored is None else inner - stored),
-        lost_by_locking=last.lost_by_locking + touched + (inner if stored is None else 0.0),
+        + (contact - worked.touched)
+        + (0.0 if worked.stored is None else worked.inner - worked.stored),
+        lost_by_locking=last.lost_by_locking + worked.touched + (worked.inner if worked.stored is None else 0.0),
         lost_by_damping=last.lost_by_damping + damped,
     )

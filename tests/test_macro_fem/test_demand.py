@@ -18,7 +18,7 @@ from macro_fem.bounds.interval import bound, loads_of
 from macro_fem.curtain import solve_problem
 from macro_fem.demand import rings as rings_module
 from macro_fem.demand.directions import first_directions, widest
-from macro_fem.demand.loop import solve_on_demand
+from macro_fem.demand.loop import Limits, solve_on_demand
 from macro_fem.demand.options import OnDemand
 from macro_fem.demand.ring_strength import strength_of_rows, with_strength
 from macro_fem.demand.rings import Rings, contradictions, question
@@ -209,13 +209,13 @@ def test_rows_that_keep_contradicting_each_other_are_no_converged_answer(known_r
 
 
 def test_limits_are_named(known_rings):
-    mesh = solve_on_demand(square(), Cell(), 1e-3, most_cells=100)
+    mesh = solve_on_demand(square(), Cell(), 1e-3, limits=Limits(cells=100))
     assert mesh.status == "mesh_limit"
     assert "100 triangles" in mesh.message
-    law = solve_on_demand(square(), Cell(), 1e-3, most_solves=12)
+    law = solve_on_demand(square(), Cell(), 1e-3, limits=Limits(solves=12))
     assert law.status in ("law_limit", "mesh_limit")
     assert law.rings.solves == 12
-    turns = solve_on_demand(square(), Cell(), 1e-3, most_turns=2)
+    turns = solve_on_demand(square(), Cell(), 1e-3, limits=Limits(turns=2))
     assert turns.status == "turn_limit"
     assert len(turns.turns) == 2
 

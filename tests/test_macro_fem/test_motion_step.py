@@ -11,7 +11,16 @@ from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.discretization import Points, discretize
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
 from macro_fem.motion.scheme import Moment, difference
-from macro_fem.motion.step import Account, Forces, Moving, kinetic_energy, next_account, solve_step, support_forces
+from macro_fem.motion.step import (
+    Account,
+    Forces,
+    Moving,
+    Worked,
+    kinetic_energy,
+    next_account,
+    solve_step,
+    support_forces,
+)
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.cones import green_strain
@@ -59,7 +68,7 @@ def advance(moving: Moving, moments: list[Moment], forces: Forces, h: float, acc
     held = support_forces(moving, change, forces, end, internal_force(moving.fem.disc, P))
     worked = {"inner": float((w[:, None, None] * P * (F[1] - F[0])).sum()), "stored": stored, "touched": touched}
     last = accounts[-1]
-    accounts.append(next_account(last, moving.mass, change, now, forces, end.x, held, end.pushes, **worked))
+    accounts.append(next_account(last, moving.mass, change, now, forces, end.x, Worked(held, end.pushes, **worked)))
     moments.append(Moment(now.t + h, end.x, change.velocity(end.x)))
     return end
 
