@@ -46,8 +46,8 @@ CASES = {
         "cells",
     ),
     "rve table": Case(
-        module("rve", "table", "--out", "out/t.csv", "--alpha", "0:20:5", "--beta", "30:60:10"),
-        module("rve", "table", "--out", "out/t.csv", "--alpha", "0:45:5", "--beta", "10:80:10"),
+        module("rve", "table", "--out", "out/t.csv", "--alpha", "0:20:20", "--beta", "30:60:15"),
+        module("rve", "table", "--out", "out/t.csv", "--alpha", "0:45:15", "--beta", "30:60:15"),
         "t.json",
         "rows",
     ),

@@ -129,7 +129,7 @@ def test_what_was_read_has_changed_and_is_run_again(tmp_path):
 )
 def test_a_stopped_sweep_ends_and_keeps_what_is_finished(tmp_path, number, code, jobs):
     words = ["sweep", "--out", tmp_path, "--r1", "5,6,7,8", "--r2", "0.5,0.6,0.7,0.8,0.9,1", "--jobs", jobs]
-    command = [sys.executable, "-m", "rve", *map(str, words), "--alpha", "0:45:5", "--beta", "0:90:15"]
+    command = [sys.executable, "-m", "rve", *map(str, words), "--alpha", "0:45:15", "--beta", "0:90:45"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while process.poll() is None and not list(tmp_path.glob(".sweep/*.json")):

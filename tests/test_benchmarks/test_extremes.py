@@ -43,9 +43,8 @@ def test_loads_at_the_boundary_of_the_tensile_cone(name, ratio):
 
 @pytest.mark.slow
 def test_random_loads_are_seeded_and_solved():
-    once, again = ex.random_rows(2, 100), ex.random_rows(2, 100)
-    assert once == again
-    for row in once:
+    assert ex.random_rows(1, 5) == ex.random_rows(1, 5)
+    for row in ex.random_rows(2, 100):
         assert_ends(row, 100, 1)
 
 

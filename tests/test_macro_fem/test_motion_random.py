@@ -70,7 +70,7 @@ def check(found):
     return rows
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_smaller_steps_come_closer():
     """Mean positions over time at steps of 10, 5 and 2.5 ms against those at 1.25 ms, at the moments that they share.
 
@@ -89,8 +89,9 @@ def test_smaller_steps_come_closer():
     assert steadily >= 15
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("block", range(10))
+@pytest.mark.parametrize(
+    "block", [pytest.param(k, marks=pytest.mark.release if k else pytest.mark.slow) for k in range(10)]
+)
 def test_300_large_steps_end_with_a_status(block):
     """Steps of up to a second, 30 scenes in each block: each ends well or says why."""
     for seed in range(30 * block, 30 * block + 30):

@@ -191,8 +191,10 @@ def test_a_few_random_scenes():
     assert not [one for one in outcomes if one.startswith("none")]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("first", range(0, len(ALL), 50))
+@pytest.mark.parametrize(
+    "first",
+    [pytest.param(k, marks=pytest.mark.release if k else pytest.mark.slow) for k in range(0, len(ALL), 50)],
+)
 def test_300_random_scenes(first, fitted_law):
     outcomes = [check(seed, fitted_law) for seed in ALL[first : first + 50]]
     assert sum(one.startswith("none") for one in outcomes) <= UNSOLVED * len(outcomes), outcomes
@@ -255,6 +257,6 @@ def test_what_slides_at_random_carries_nothing_along_its_way():
     check_outcomes(range(16))
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_200_scenes_that_slide():
     check_outcomes(range(16, 216))

@@ -4,6 +4,7 @@ import os
 import resource
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import click
@@ -103,14 +104,6 @@ def test_a_disk_that_is_full_is_a_sentence_and_old_files_stay(tmp_path):
         assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
-MISSING = """
-import sys
-sys.modules[{module!r}] = None
-import {package}.cli
-{package}.cli.main({arguments!r})
-"""
-
-
 @pytest.mark.parametrize(
     ("module", "extra", "arguments"),
     [
@@ -119,17 +112,15 @@ import {package}.cli
         ("plotly", "pages", ("macro_fem", "run", "scene.toml", "--out", "out", "--html")),
     ],
 )
-def test_what_a_command_needs_is_checked_first(tmp_path, module, extra, arguments):
-    (tmp_path / "scene.toml").write_text(SCENE.format(cells=2))
-    (tmp_path / "space.toml").write_text(SCENE.format(cells=2) + "[solver]\nspace = true\n")
-    before = sorted(tmp_path.iterdir())
+def test_what_a_command_needs_is_checked_first(tmp_path, monkeypatch, module, extra, arguments):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, module, None)
+    Path("scene.toml").write_text(SCENE.format(cells=2))
+    Path("space.toml").write_text(SCENE.format(cells=2) + "[solver]\nspace = true\n")
     package, *rest = (str(a) for a in arguments)
-    code = MISSING.format(module=module, package=package, arguments=rest)
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert run.returncode == 2
-    assert run.stdout == ""
+    run = CliRunner().invoke(import_module(f"{package}.cli").main, rest)
+    assert (run.exit_code, run.stdout) == (2, "")
     assert f"needs {module}: run pip install {module} " in run.stderr
     assert f"(extra {extra})" in run.stderr
     assert run.stderr.count("\n") == 1
-    assert sorted(tmp_path.iterdir()) == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["scene.toml", "space.toml"]

@@ -517,7 +517,7 @@ def test_random_starts_end_at_one_potential():
     assert found[2].potential == pytest.approx(found[1].potential, abs=0.05 * scale)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_no_ring_tunnels_from_a_hundred_random_starts():
     found, scale = from_random_starts(range(100))
     for one in found:
