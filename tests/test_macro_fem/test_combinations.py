@@ -168,12 +168,20 @@ def plane(tmp_path_factory):
     return list(outcomes(covering(PLANE), PLANE, tmp_path_factory.mktemp("plane")).values())
 
 
+def test_rigid_triangles_in_the_plane(tmp_path):
+    rows = [row for row in covering(PLANE) if (row["element"], row["solver"]) == ("P1", "rigid")]
+    found = Counter(outcomes(rows, PLANE, tmp_path).values())
+    assert found["converged"] > 0.5 * found.total()
+
+
+@pytest.mark.slow
 def test_every_pair_of_keys_in_the_plane(plane):
     found = Counter(plane)
     assert found["converged"] > 0.5 * found.total()
     assert set(found) >= {"off", "no-edge", "slides", "held-bar"}
 
 
+@pytest.mark.slow
 def test_elastic_solves_what_rigid_solves(plane, tmp_path):
     """And rigid what elastic does."""
     other = {"rigid": "elastic", "elastic": "rigid"}
