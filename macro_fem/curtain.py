@@ -68,7 +68,7 @@ def solve_convex(problem: CurtainProblem, start: CurtainSolution | None = None) 
             reach = replace(reach, upper=1.0)
     if reach.is_out:
         result = _unsolved(problem, "infeasible")
-    elif problem.walls is not None and problem.walls.stuck(problem.fem) > TOUCHED * problem.mesh.size:
+    elif problem.walls.stuck(problem.fem) > TOUCHED * problem.mesh.size:
         result = _unsolved(problem, "blocked")
     else:
         cones, x = problem.cones, gathered_start(problem) if start is None else slackened(start, INWARD)
@@ -84,7 +84,7 @@ def _unsolved(problem: CurtainProblem, stop: str) -> PathResult:
     """What stands for an answer where supports or obstacles leave none: the slack start without stress."""
     z, n = problem.fem.unknowns(gathered_start(problem)), problem.disc.n_points
     worst, cones = Evidence(np.inf, np.inf, np.inf), first_cones(problem.law.half_spaces(), n)
-    P, pushes = 0.0 * problem.fem.gradient(z), np.zeros(len(problem.walls or ()))
+    P, pushes = 0.0 * problem.fem.gradient(z), np.zeros(len(problem.walls))
     return PathResult(stop, worst, PATH.accuracy, z, np.zeros((n, 3)), np.zeros(n), cones, P, np.nan, np.nan, 0, pushes)
 
 
@@ -144,7 +144,7 @@ def _solve_within_reach(
         terms = Terms(law.compliance, tension, problem.walls)
         return solve_path(problem.fem, law, load, z, size, replace(options, least_gap=ELASTIC_GAP), terms), None
 
-    def solve(fem: SupportedFem, z: Array, options: PathOptions, walls: Walls | None) -> PathResult:
+    def solve(fem: SupportedFem, z: Array, options: PathOptions, walls: Walls) -> PathResult:
         return solve_path(fem, problem.law, load + tension, z, size, options, Terms(walls=walls))
 
     if reach.is_at_limit:

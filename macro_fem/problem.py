@@ -36,9 +36,9 @@ class CurtainProblem:
     supports: Supports
     fem: SupportedFem
     force: Array  # (n_nodes, d), N
+    walls: Walls  # half-spaces that nodes stay inside of: floors, walls, tangent planes of bodies
     factor: float = 1.0  # share of live loads and moves
     cones: Cones | None = None  # half-spaces to begin with, instead of the law's own few
-    walls: Walls | None = None  # half-spaces that nodes stay inside of: floors, walls, tangent planes of bodies
     bodies: tuple[PlacedObstacle, ...] = ()  # obstacles that are no half-spaces
     winds: tuple[Wind, ...] = ()  # those whose force depends on the present shape
     wind: Array | None = None  # (n_cells, d), N/mm2: what these press the cells with in `force`
@@ -88,7 +88,7 @@ def make_problem(
         supports = pin_sliding(supports, disc, force, scene.source)
     hung = HungLaw.at(law, scene.curtain.weave_angle)
     fem = supports.fem(disc)
-    problem = CurtainProblem(scene, mesh, disc, hung, supports, fem, force, factor)
+    problem = CurtainProblem(scene, mesh, disc, hung, supports, fem, force, Walls.none(fem.d), factor)
     winds = tuple(wind for wind in scene.of(Wind) if wind.is_shaped and fem.d == 3)
     if winds:
         flat = sum((wind_per_area(wind, scene, law.cell) for wind in winds if not wind.follows), np.zeros(3))
@@ -111,7 +111,7 @@ def _with_obstacles(problem: CurtainProblem) -> CurtainProblem:
         _check_outside(one, problem)
     flat = [tangent_walls(one, fem, fem.reference) for one in obstacles if is_flat(one.obstacle)]
     bodies = tuple(one for one in obstacles if not is_flat(one.obstacle))
-    return replace(problem, walls=Walls.joined(flat), bodies=bodies)
+    return replace(problem, walls=Walls.joined([problem.walls, *flat]), bodies=bodies)
 
 
 def placed_obstacles(problem: CurtainProblem) -> list[PlacedObstacle]:

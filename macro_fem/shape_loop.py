@@ -183,8 +183,7 @@ class _Watch:
 
 def _pose(problem: CurtainProblem, tangents: list[Walls], wind: Array) -> CurtainProblem:
     """The convex problem with tangent half-spaces and dead wind (n_points, d) in N/mm2."""
-    flat = [] if problem.walls is None else [problem.walls]
-    posed = replace(problem, bodies=(), winds=(), walls=Walls.joined([*flat, *tangents]))
+    posed = replace(problem, bodies=(), winds=(), walls=Walls.joined([problem.walls, *tangents]))
     return with_wind(posed, wind) if problem.winds else posed
 
 
@@ -231,7 +230,6 @@ def _measure_settling(
     turning = load_vector(loaded(problem), change) if problem.winds else np.zeros((0, 3))
     misfit, product, deepest, depth = float(np.linalg.norm(turning, axis=1).sum()), 0.0, 0.0, 0.0
     for body, now in zip(problem.bodies, turned, strict=True):
-        assert walls is not None
         of_body = walls.owner == body.number
         own, push = walls.take(of_body), found.wall_forces[of_body]
         misfit += float(push @ np.linalg.norm(now.normal - own.normal, axis=1))

@@ -98,8 +98,7 @@ class CurtainSolution(Judged):
     @cached_property
     def pushes(self) -> Array:
         """Forces of floors, walls and bodies on the nodes (n_nodes, d), N."""
-        force, walls = self.problem.force, self.problem.walls
-        return np.zeros_like(force) if walls is None else walls.nodal(self.wall_forces, len(force))
+        return self.problem.walls.nodal(self.wall_forces, len(self.x))
 
     @property
     def _total(self) -> float:
@@ -110,8 +109,7 @@ class CurtainSolution(Judged):
         E = green_strain(self.F / (1.0 + (self.relaxation or 0.0)))
         if not (np.isfinite(E).all() and np.isfinite(self.P).all()):
             return np.inf
-        walls = self.problem.walls
-        crossed = 0.0 if walls is None else -float(walls.gap(self.x).min(initial=np.inf)) / self.problem.mesh.size
+        crossed = -float(self.problem.walls.gap(self.x).min(initial=np.inf)) / self.problem.mesh.size
         return max(0.0, crossed) if self.elastic else max(-least_slack(self.problem.law, E), crossed)
 
     @property

@@ -75,7 +75,7 @@ def admissible_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor
     """
     quadratic = replace(scene, mesh=replace(scene.mesh, element="P2"))
     problem = make_problem(quadratic, law, mesh, factor)
-    if problem.walls is not None:
+    if len(problem.walls):
         return make_problem(replace(scene, mesh=replace(scene.mesh, element="P1")), law, mesh, factor)
     disc = at_corners(problem.disc)
     return replace(problem, disc=disc, fem=problem.supports.fem(disc))

@@ -128,7 +128,7 @@ class DualProblem:
     facet: np.ndarray
     near: np.ndarray
     centre: Array
-    walls: Walls | None = None
+    walls: Walls
 
 
 def dual_problem(solution: CurtainSolution, factor: float, near_slack: Array) -> DualProblem:
@@ -209,13 +209,11 @@ def _traction_forces(dual: DualMesh, facets: np.ndarray, traction: Array) -> Arr
     return force
 
 
-def _walls(walls: Walls | None, dual: DualMesh) -> Walls | None:
+def _walls(walls: Walls, dual: DualMesh) -> Walls:
     """The planes that the nodes of the primal problem stay inside of, for the mean of every triangle.
 
     The law of the continuous curtain has them at all points, so that any pushes, even in every triangle, give a bound.
     """
-    if walls is None or not len(walls):
-        return None
     planes = np.unique(np.column_stack([walls.normal, walls.offset]), axis=0)
     n_cells, first = dual.disc.n_cells, 2 * dual.facets.shape[1]
     middles = Points.of(np.tile(first + np.arange(n_cells), len(planes)))

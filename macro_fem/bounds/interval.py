@@ -183,11 +183,8 @@ def _tether_cost(dual: DualProblem, law: MembraneLaw, result: PathResult, held: 
 
 def contact_error(x: Array, dual: DualProblem, result: PathResult) -> Array:
     """Pushes of walls on every triangle times the distance (n_cells,) of its middle in the P1 curtain x, N mm."""
-    n_cells = dual.dual.disc.n_cells
-    if dual.walls is None:
-        return np.zeros(n_cells)
     work = result.wall_forces * dual.walls.gap(at_dual_nodes(x, dual.dual.mesh))
-    return np.asarray(work.reshape(-1, n_cells).sum(axis=0))
+    return np.asarray(work.reshape(-1, dual.dual.disc.n_cells).sum(axis=0))
 
 
 def error_map(F: Array, dual: DualProblem, result: PathResult) -> Array:

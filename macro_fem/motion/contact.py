@@ -40,12 +40,10 @@ class Contacts:
         self.before = {one.number: one for one in placed_obstacles(before)} if before is not None else {}
         self.n = problem.disc.n_nodes
 
-    def tangents(self, x: Array) -> Walls | None:
+    def tangents(self, x: Array) -> Walls:
         """Half-spaces that touch obstacles and balls where they are closest to points of nodes at x (n, d)."""
-        return Walls.joined([*self._flat_and_bodies(x), *self._of_balls(x), *self._between(x[self.n :])])
-
-    def _flat_and_bodies(self, x: Array) -> list[Walls]:
-        return [tangent_walls(one, self.problem.fem, x[: self.n]) for one in self.obstacles]
+        placed = [tangent_walls(one, self.problem.fem, x[: self.n]) for one in self.obstacles]
+        return Walls.joined([*placed, *self._of_balls(x), *self._between(x[self.n :])])
 
     def _of_balls(self, x: Array) -> list[Walls]:
         points, found = self.problem.disc.meeting, []
@@ -101,8 +99,6 @@ class Contacts:
 
     def work(self, end: Stepped, x: Array) -> tuple[float, float]:
         """Pushes times the moves of obstacles along them, and pushes times the gaps at the start x (n, d), N mm."""
-        if end.walls is None:
-            return 0.0, 0.0
         moved, touched, after = 0.0, 0.0, {one.number: one for one in self.obstacles}
         for number in np.unique(end.walls.owner):
             which = np.flatnonzero(end.walls.owner == number)
@@ -124,9 +120,9 @@ def pushed_points(solution: CurtainSolution, carries: float) -> tuple[sparse.csr
     than this part of the largest push, and the matrix of pushes times how the normals turn there, N/mm."""
     problem, walls, force = solution.problem, solution.problem.walls, solution.wall_forces
     n = 3 * problem.disc.n_nodes
-    if walls is None or not (force > carries * force.max(initial=0.0)).any():
+    which = np.flatnonzero(force > carries * force.max(initial=0.0))
+    if not len(which):
         return sparse.csr_matrix((0, n)), sparse.csr_matrix((n, n))
-    which = np.flatnonzero(force > carries * force.max())
     walls, force = walls.take(which), force[which]
     rows = walls.matrix(n // 3)
     rows = sparse.csr_matrix(sparse.diags(1.0 / sparse.linalg.norm(rows, axis=1)) @ rows)

@@ -16,13 +16,14 @@ from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
 from macro_fem.motion.contact import Contacts
 from macro_fem.motion.pace import Failed, Frame, Mover, Run
-from macro_fem.motion.scheme import Moment, difference
 from macro_fem.motion.stage import forces_at, let_go, masses_of, scene_at, stored_energy, weights_of
 from macro_fem.motion.step import (
     Account,
+    Moment,
     Moving,
     Stepped,
     Worked,
+    difference,
     kinetic_energy,
     next_account,
     solve_step,
@@ -41,6 +42,7 @@ from macro_fem.scene.tables import Item
 from macro_fem.solution import CurtainSolution, InnerForces
 from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.status import ROUNDING, Evidence
+from macro_fem.solvers.walls import Walls
 from rve.common import Array, InputError, NotConverged
 from rve.common.drawing.plane import save_figure
 from rve.common.drawing.space import THREE_QUARTERS
@@ -211,7 +213,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             kept.append(Sphere(tuple(place), ball.radius, name=ball.name))
         scene = replace(problem.scene, items=tuple(kept))
         force = internal_force(problem.disc, frame.P) - frame.supports
-        told = replace(problem, scene=scene, force=force, walls=None, winds=())
+        told = replace(problem, scene=scene, force=force, walls=Walls.none(problem.fem.d), winds=())
         inner, asked = InnerForces(frame.P, frame.S, 0.0, np.zeros(0)), Evidence(1.0, 1.0, 1.0)
         return CurtainSolution(told, "converged", asked, frame.moment.x[:n], inner, 0.0, 0.0, frame.iterations, 0.0)
 

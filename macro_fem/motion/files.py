@@ -19,8 +19,7 @@ from homogenize import MembraneLaw, default_law, load_law
 from macro_fem.motion.curtain import MovingCurtain
 from macro_fem.motion.pace import COLUMNS, F, Mover, Pace, Run
 from macro_fem.motion.rings import MovingRings
-from macro_fem.motion.scheme import Moment
-from macro_fem.motion.step import Account
+from macro_fem.motion.step import Account, Moment
 from macro_fem.output.files import collection
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.every_ring import EveryRing

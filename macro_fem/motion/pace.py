@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
 import numpy as np
 
-from macro_fem.motion.scheme import Moment, predicted
 from macro_fem.motion.stage import let_go, scene_at
-from macro_fem.motion.step import Account
+from macro_fem.motion.step import Account, Moment, predicted
 from macro_fem.scene.moving import Ball, Thrown
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Timed

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from macro_fem.motion.pace import Failed, Frame, Mover, Run
-from macro_fem.motion.scheme import Moment, difference
 from macro_fem.motion.stage import TONNE, relative_wind, scene_at
-from macro_fem.motion.step import Account, Forces, Worked, kinetic_energy, next_account
+from macro_fem.motion.step import Account, Forces, Moment, Worked, difference, kinetic_energy, next_account
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
 from macro_fem.scene.loads import PER_MM2, areal_mass

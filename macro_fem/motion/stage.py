@@ -8,8 +8,7 @@ import numpy as np
 
 from macro_fem.drag import senses, wind_density, with_wind
 from macro_fem.fem.assembly import load_vector
-from macro_fem.motion.scheme import Moment
-from macro_fem.motion.step import Forces
+from macro_fem.motion.step import Forces, Moment
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import BREEZE, PER_MM2, areal_mass, breeze, edge_shares, nodal_forces
 from macro_fem.scene.moving import Ball, Thrown, at_time

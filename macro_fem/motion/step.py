@@ -1,10 +1,19 @@
-"""One implicit step of a curtain in motion, the convex program of the static solver with the mass term added, and the
-energy account of any step.
+"""Implicit steps in time, Euler's and BDF2 with steps of any ratio; the step of a curtain; the energies of any step.
 
-    minimise  |x - x_hat|^2_M / (2 (beta h)^2) + damping and drag - f.x + stored energy   over admissible x
+Velocities are differences of positions and accelerations the same differences of velocities. With steps h and before it
+h / w,
 
-Nodes of bodies with mass follow those of the curtain (`macro_fem.fem.supported`). Round obstacles and bodies enter by
-tangent half-spaces, taken where the curtain would go, and found again at the answer until they no longer turn.
+    beta h v+ = x+ - X,   beta h a+ = v+ - V,   beta = (1 + w) / (1 + 2 w),
+    X = beta ((1 + w) x_n - w^2 / (1 + w) x_(n-1)),   V the same of velocities,
+
+and beta = 1, X = x_n, V = v_n for Euler's. The equation of motion M a+ = f makes the step of a curtain the convex
+program of the static solver with the mass term added,
+
+    minimise  |x - x_hat|^2_M / (2 (beta h)^2) + damping and drag - f.x + stored energy   over admissible x,
+
+x_hat = X + beta h V. Nodes of bodies with mass follow those of the curtain (`macro_fem.fem.supported`). Round obstacles
+and bodies enter by tangent half-spaces, taken where the curtain would go, and found again at the answer until they no
+longer turn.
 
 With dx = x+ - x_n and M a+ = f + supports + pushes - B^T (w P+) - damping M v+ times dx,
 
@@ -30,13 +39,64 @@ import numpy as np
 
 from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.motion.scheme import Difference, Moment
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import Cones
-from macro_fem.solvers.inertia import Inertia, times
-from macro_fem.solvers.path import PathOptions, PathResult, Terms
+from macro_fem.solvers.path import Inertia, PathOptions, PathResult, Terms, times
 from macro_fem.solvers.walls import Walls
 from rve.common import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """Positions x (n, d) in mm and velocities v (n, d) in mm/s at the time t in s."""
+
+    t: float
+    x: Array
+    v: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """The differences of one step: h and beta h in s, X (n, d) in mm and V (n, d) in mm/s, see above."""
+
+    h: float
+    beta_h: float
+    X: Array
+    V: Array
+
+    @property
+    def x_hat(self) -> Array:
+        """X + beta h V (n, d): where nodes would go without forces, mm."""
+        return self.X + self.beta_h * self.V
+
+    def velocity(self, x: Array) -> Array:
+        """v+ (n, d) of positions x (n, d), mm/s."""
+        return (x - self.X) / self.beta_h
+
+    def acceleration(self, x: Array) -> Array:
+        """a+ (n, d) of positions x (n, d), mm/s2."""
+        return (x - self.x_hat) / self.beta_h**2
+
+
+def difference(now: Moment, before: Moment | None, h: float) -> Difference:
+    """The differences of a step h from `now`: Euler's without a moment before, else BDF2's.
+
+    >>> start = Moment(0.0, np.zeros((1, 2)), np.ones((1, 2)))
+    >>> difference(start, None, 0.5).x_hat.tolist()
+    [[0.5, 0.5]]
+    """
+    if before is None:
+        return Difference(h, h, now.x, now.v)
+    w = h / (now.t - before.t)
+    beta = (1.0 + w) / (1.0 + 2.0 * w)
+    own, old = beta * (1.0 + w), beta * w * w / (1.0 + w)
+    return Difference(h, beta * h, own * now.x - old * before.x, own * now.v - old * before.v)
+
+
+def predicted(now: Moment, before: Moment | None, h: float) -> Array:
+    """Positions (n, d) after a step h at the last acceleration, mm: x+ differs from them by a third power of h."""
+    a = np.zeros_like(now.v) if before is None else (now.v - before.v) / (now.t - before.t)
+    return now.x + h * now.v + 0.5 * h * h * a
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +125,7 @@ class Moving:
     size: float
 
 
-Tangents = Callable[[Array], Walls | None]
+Tangents = Callable[[Array], Walls]
 """Half-spaces of obstacles and bodies that touch them where they are closest to nodes at x (n, d)."""
 ROUNDS, SETTLED = 8, 1e-4
 """How often tangent half-spaces are found anew at most, and reactions that may still turn, over all forces."""
@@ -79,32 +139,29 @@ class Stepped:
 
     x: Array
     result: PathResult
-    walls: Walls | None
+    walls: Walls
 
     @property
     def pushes(self) -> Array:
         """Forces of half-spaces on all nodes (n, d), N."""
-        if self.walls is None:
-            return np.zeros_like(self.x)
         return self.walls.nodal(self.result.wall_forces, len(self.x))
 
 
 def solve_step(
-    moving: Moving, change: Difference, forces: Forces, x: Array, cones: Cones | None, tangents: Tangents | None = None
+    moving: Moving, change: Difference, forces: Forces, x: Array, cones: Cones | None, tangents: Tangents
 ) -> Stepped:
     """The end of a step from positions x (n, d), by the half-spaces `cones` of the step before."""
     fem, inertia = moving.fem, inertia_of(moving, change, forces)
     load = fem.gather(forces.dead + forces.live)
     path = PathOptions(gap=GAP, violation=1e-9, cones=cones, drawn=False, first_gap=FIRST_GAP)
-    place, walls = x, None if tangents is None else tangents(x)
+    place, walls = x, tangents(x)
     for rounds in range(1, ROUNDS + 1):
         terms = Terms(moving.compliance, walls=walls, inertia=inertia)
         result = solve_path(fem, moving.law, load, fem.unknowns(place), moving.size, path, terms)
         place = fem.positions(result.z)
-        if walls is None or tangents is None or not result.converged or rounds == ROUNDS:
+        if not len(walls) or not result.converged or rounds == ROUNDS:
             break
         anew = tangents(place)
-        assert anew is not None
         turned = float(result.wall_forces @ np.linalg.norm(anew.normal - walls.normal, axis=1))
         turned /= float(np.abs(result.wall_forces).sum() + np.abs(load).sum() + inertia.force_scale)
         if turned < SETTLED:

@@ -145,7 +145,7 @@ def features(solution: CurtainSolution, *, bounds: bool, picture: bool) -> list[
     flat = "all loads and supports lie in the plane, and so does the answer"
     rows = [("third-coordinate", bool(scene.space_reason), scene.space_reason or flat)]
     rows.append(("ties", bool(ties), " and ".join(ties) or "no straight bar and no sloping line"))
-    if problem.walls is not None:
+    if len(problem.walls):
         rows.append(("half-spaces-on-nodes", True, f"{len(problem.walls)} linear cones keep obstacles clear"))
     if settling is not None:
         still = f"forces of {settling.misfit:.1e} of the load still turn"
@@ -208,7 +208,7 @@ def curtain_mesh(solution: CurtainSolution, extra: dict[str, Array] | None = Non
         meshes.DISPLACEMENT: padded(corner_positions(solution)) - padded(mesh.p.T),
         "support_force_N": padded(corner_forces(problem, solution.reactions)),
     }
-    if problem.walls is not None:
+    if len(problem.walls):
         point_data["obstacle_force_N"] = padded(corner_forces(problem, solution.pushes))
     cells = [("triangle", counterclockwise(mesh.p.T, mesh.t.T))]
     each = {name: [np.asarray(values, dtype=float)] for name, values in data.items()}

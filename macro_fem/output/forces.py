@@ -116,8 +116,6 @@ def support_rows(supports: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[
 def pushes_of(solution: CurtainSolution, number: int) -> Array:
     """Pushes (n_nodes, 3) of obstacle `number` of the scene on the nodes of the curtain, N."""
     walls, n = solution.problem.walls, solution.problem.disc.n_nodes
-    if walls is None:
-        return np.zeros((n, 3))
     own = walls.owner == number
     return padded(walls.take(own).nodal(solution.wall_forces[own], n))
 

@@ -3,7 +3,7 @@
     minimise  -l.z + stored energy   subject to   S:(E(F_q(z)) - D S_q) <= h(S)   for every tensile S, at every point q
 
 The iteration is that of `macro_fem.solvers.cone_program`, for a handful of half-spaces per point. Before every step the
-law is asked for the half-spaces that it would violate (`macro_fem.solvers.cutting_planes`); if they shorten it much, it
+law is asked for the half-spaces that it would violate (`macro_fem.solvers.cone_step`); if they shorten it much, it
 is found anew with them. Half-spaces contain the law's set, so the dual value is a lower bound for the whole law at
 every step; the primal value of a rigid curtain becomes an upper bound when the answer is drawn back, by the least
 amount, towards a state inside the law.
@@ -19,9 +19,8 @@ from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.solvers import soc
 from macro_fem.solvers.cone_program import ConeState, Measure, Program, compliance_root, find_first_state, measure
-from macro_fem.solvers.cone_step import advance, find_step
+from macro_fem.solvers.cone_step import advance, find_nearest, find_step, join, prune
 from macro_fem.solvers.cones import first_cones, least_slack
-from macro_fem.solvers.cutting_planes import find_nearest, join, prune, widen
 from macro_fem.solvers.path import PATH, RIGID_TERMS, PathOptions, PathResult, Terms
 from macro_fem.solvers.status import FREE, Evidence, Reach, load_scale
 from macro_fem.solvers.walls import rows_of
@@ -163,11 +162,10 @@ def _try_step(place: _Place, options: PathOptions, *, may_wait: bool) -> tuple[P
         after = advance(state, step)
         margin = min(-float(found.violation.max()), float(program.rows.slack(after.z).min(initial=np.inf)))
         return program, after, step.dual > 0.0, margin
-    into = join(program, state, found)
-    shorter = widen(step, into)
+    program, state, shorter = join(program, state, step, found)
     if may_wait and shorter.primal < GOOD * step.primal:
-        return into.program, into.state, False, -np.inf
-    return into.program, advance(into.state, shorter), shorter.dual > 0.0, -np.inf
+        return program, state, False, -np.inf
+    return program, advance(state, shorter), shorter.dual > 0.0, -np.inf
 
 
 def _find_stop(place: _Place, inner: _Place, load: Array, options: PathOptions, steps: int) -> str | None:

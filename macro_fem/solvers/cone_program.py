@@ -24,7 +24,7 @@ Half-spaces on places of the curtain, s = A z + b0 >= 0 (`walls`), are further c
 variables u and areas v: they add A^T (v u) to the balance of forces, -sum v u b0 to the dual value and A^T (v u / s) A
 to Newton's matrix, whose pattern stays: all nodes of a row are those of one cell.
 
-A step of motion adds (x - x_hat).W (x - x_hat) / 2 over the nodes to what is minimised (`inertia`).
+A step of motion adds (x - x_hat).W (x - x_hat) / 2 over the nodes to what is minimised (`Inertia`).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.solvers import soc
 from macro_fem.solvers.cones import Cones, green_strain, symmetric_roots, times_root
-from macro_fem.solvers.inertia import Inertia
+from macro_fem.solvers.path import Inertia
 from macro_fem.solvers.soc import Vectors
 from macro_fem.solvers.walls import WallRows
 from rve.common import Array

@@ -36,7 +36,7 @@ REACH_GAP = 1e-6
 SURE = 2.0
 """The search for the factor ends early once it exceeds 1 by this many times AT_LIMIT. Larger ones search longer."""
 
-Solve = Callable[[SupportedFem, Array, PathOptions, Walls | None], PathResult]
+Solve = Callable[[SupportedFem, Array, PathOptions, Walls], PathResult]
 """A rigid solver of a discretisation from unknowns (n,), outside of half-spaces on nodes."""
 
 
@@ -84,7 +84,7 @@ def movable(fem: SupportedFem, size: float) -> SupportedFem | None:
 
 
 def solve_at_stretch_limit(
-    solve: Solve, fem: SupportedFem, start: Array, options: PathOptions, reach: Reach, walls: Walls | None = None
+    solve: Solve, fem: SupportedFem, start: Array, options: PathOptions, reach: Reach, walls: Walls
 ) -> tuple[PathResult, float]:
     """The answer for a law relaxed by a little more than the supports are out of reach, with its own bounds, and the
     relaxation; the last one tried if none converges.
@@ -93,7 +93,7 @@ def solve_at_stretch_limit(
     for more in RELAXATIONS:
         relaxation = max(0.0, 1.0 / reach.lower - 1.0) + more
         nearer = fem.moved(fem.x_held / (1.0 + relaxation))
-        near_walls = None if walls is None else replace(walls, offset=walls.offset / (1.0 + relaxation))
+        near_walls = replace(walls, offset=walls.offset / (1.0 + relaxation))
         result = solve(nearer, start / (1.0 + relaxation), loose, near_walls)
         if result.converged:
             break

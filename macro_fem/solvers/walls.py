@@ -34,11 +34,17 @@ class Walls(Rows):
     owner: np.ndarray
 
     @classmethod
-    def joined(cls, parts: Sequence[Walls]) -> Walls | None:
-        """All half-spaces of some parts; None if there is none."""
-        k = max([part.at.node.shape[1] for part in parts if len(part)], default=0)
-        some = [replace(part, at=part.at.widened(k)) for part in parts if len(part)]
-        return some[0].join(some[1:]) if some else None
+    def none(cls, d: int) -> Walls:
+        """No half-spaces, in d dimensions."""
+        nowhere = np.zeros(0, int)
+        return cls(Points.of(nowhere), np.zeros((0, d)), np.zeros(0), nowhere)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Walls]) -> Walls:
+        """All half-spaces of one or more parts."""
+        k = max(part.at.node.shape[1] for part in parts)
+        first, *others = (replace(part, at=part.at.widened(k)) for part in parts)
+        return first.join(others)
 
     def __len__(self) -> int:
         return len(self.offset)
@@ -132,8 +138,7 @@ class WallRows:
 
 def rows_of(fem: SupportedFem, walls: Walls | None, size: float) -> WallRows:
     """The rows of half-spaces in units of `size` mm; ValueError if a held node is beyond one that no unknown moves."""
-    none = np.zeros(0, int)
-    walls = Walls(Points.of(none), np.zeros((0, fem.d)), np.zeros(0), none) if walls is None else walls
+    walls = Walls.none(fem.d) if walls is None else walls
     beyond = walls.stuck(fem)
     if beyond > TOUCHED * size:
         raise ValueError(f"a held node is {beyond:g} mm beyond a half-space")

@@ -9,9 +9,8 @@ from homogenize import Cut, default_law
 from macro_fem.problem import gathered_start
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cone_program import Program, compliance_root, find_first_state, measure
-from macro_fem.solvers.cone_step import find_step
+from macro_fem.solvers.cone_step import find_nearest, find_step
 from macro_fem.solvers.cones import Cones, all_cuts, first_cones, green_strain, with_cuts
-from macro_fem.solvers.cutting_planes import find_nearest
 from macro_fem.solvers.path import PathOptions
 from macro_fem.solvers.walls import rows_of
 from rve.common.tensor import double_dot, trace

@@ -19,9 +19,8 @@ from macro_fem.motion.curtain import MovingCurtain, solve_motion
 from macro_fem.motion.files import account_error
 from macro_fem.motion.modes import find_modes
 from macro_fem.motion.pace import COLUMNS
-from macro_fem.motion.scheme import Moment
 from macro_fem.motion.stage import masses_of, scene_at
-from macro_fem.motion.step import kinetic_energy
+from macro_fem.motion.step import Moment, kinetic_energy
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.loads import wind_pressure
 from macro_fem.scene.schema import read_scene

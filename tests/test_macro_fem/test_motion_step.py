@@ -10,12 +10,13 @@ from homogenize import default_law, elastic_law
 from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.discretization import Points, discretize
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
-from macro_fem.motion.scheme import Moment, difference
 from macro_fem.motion.step import (
     Account,
     Forces,
+    Moment,
     Moving,
     Worked,
+    difference,
     kinetic_energy,
     next_account,
     solve_step,
@@ -24,7 +25,7 @@ from macro_fem.motion.step import (
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.cones import green_strain
-from macro_fem.solvers.inertia import Inertia
+from macro_fem.solvers.path import Inertia
 from macro_fem.solvers.walls import Walls, rows_of
 
 BALL = 0.5e-3
@@ -49,7 +50,13 @@ def free_sheet(
     return Moving(fem, law, mass, compliance, mesh.size), np.column_stack([disc.nodes, np.zeros(n)])
 
 
-def advance(moving: Moving, moments: list[Moment], forces: Forces, h: float, accounts: list[Account], tangents=None):
+def untouched(x: np.ndarray) -> Walls:
+    return Walls.none(x.shape[1])
+
+
+def advance(
+    moving: Moving, moments: list[Moment], forces: Forces, h: float, accounts: list[Account], tangents=untouched
+):
     """The next moment and account, appended; the step."""
     now, before = moments[-1], moments[-2] if len(moments) > 1 else None
     change = difference(now, before, h)
@@ -62,7 +69,7 @@ def advance(moving: Moving, moments: list[Moment], forces: Forces, h: float, acc
         psi = [moving.law.response(green_strain(one)).energy for one in F]
         stored = float(w @ (psi[1] - psi[0]))
     touched = 0.0
-    if end.walls is not None:
+    if len(end.walls):
         n = len(now.x) - 1
         touched = float(end.result.wall_forces @ (np.linalg.norm(now.x[:n] - now.x[n], axis=1) - end.walls.offset))
     held = support_forces(moving, change, forces, end, internal_force(moving.fem.disc, P))
@@ -106,7 +113,7 @@ def test_a_thrown_ball_and_a_free_sheet_keep_momentum_and_close_the_account(elas
 
 
 def angular_momenta(
-    moving: Moving, x: np.ndarray, v: np.ndarray, h: float, *, tangents=None, euler=False
+    moving: Moving, x: np.ndarray, v: np.ndarray, h: float, *, tangents=untouched, euler=False
 ) -> np.ndarray:
     """Angular momenta (steps + 1, 3) about the origin over 48 ms in which nothing acts."""
     nothing = Forces(np.zeros_like(x), np.zeros_like(x))
@@ -199,7 +206,7 @@ def test_an_answer_of_a_step_has_a_gap_and_no_better_neighbour():
     v = rng.normal(scale=2000.0, size=X.shape)
     change = difference(Moment(0.0, X, v), None, 0.02)
     forces = Forces(np.zeros_like(X), np.zeros_like(X))
-    end = solve_step(moving, change, forces, X, None)
+    end = solve_step(moving, change, forces, X, None, untouched)
     assert 0.0 <= end.result.evidence.gap < 1e-8
 
     def value(x):

@@ -13,8 +13,8 @@ from macro_fem.cli import main
 from macro_fem.motion.files import account_error
 from macro_fem.motion.pace import COLUMNS
 from macro_fem.motion.rings import MovingRings, solve_ring_motion
-from macro_fem.motion.scheme import Moment
 from macro_fem.motion.stage import TONNE
+from macro_fem.motion.step import Moment
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.scene.schema import read_scene
 from rve import slack_rings
