@@ -59,7 +59,7 @@ def random_pairs(count: int, seed: int = 7) -> Pairs:
     d = rng.normal(size=(8 * count, 3)) * np.array([1.2, 1.2, 0.0])
     n_a, n_b = rng.normal(size=(2, 8 * count, 3))
     n_a, n_b = (n / np.linalg.norm(n, axis=1)[:, None] for n in (n_a, n_b))
-    linked = Pairs(d, n_a, n_b).take(np.flatnonzero(are_linked(d, n_a, n_b, 1.0)))
+    linked = Pairs(d, n_a, n_b).take(np.flatnonzero(are_linked(d, n_a, n_b)))
     pair, _, distance = minima(linked.d, linked.n_a, linked.n_b)
     apart = np.setdiff1d(np.arange(len(linked.d)), pair[distance <= 0.1])
     if len(apart) < count:
@@ -107,7 +107,7 @@ golden_section = partial(brute_force, samples=4096, rounds=45)
 
 def newton(pairs: Pairs, samples: int = 48) -> Found:
     """`rve.geometry.circles.local_minima`, the default."""
-    found = local_minima(pairs.d, pairs.n_a, pairs.n_b, 1.0, reach=REACH, samples=samples)
+    found = local_minima(pairs.d, pairs.n_a, pairs.n_b, reach=REACH, samples=samples)
     return Found(found.pair, found.rho_a, found.distance)
 
 
@@ -116,11 +116,11 @@ def projection(pairs: Pairs, iterations: int) -> Found:
     other ring's centre. Each ends in *one* local minimum; the contraction factor tends to 1 where two minima merge.
     """
     d, n_a, n_b = np.tile(pairs.d, (2, 1)), np.tile(pairs.n_a, (2, 1)), np.tile(pairs.n_b, (2, 1))
-    on_a = foot_on_circle(np.concatenate([pairs.d, -pairs.d]), n_a, 1.0)
+    on_a = foot_on_circle(np.concatenate([pairs.d, -pairs.d]), n_a)
     todo = np.arange(len(d))
     for _ in range(iterations):
-        on_b = d[todo] + foot_on_circle(on_a[todo] - d[todo], n_b[todo], 1.0)
-        new = foot_on_circle(on_b, n_a[todo], 1.0)
+        on_b = d[todo] + foot_on_circle(on_a[todo] - d[todo], n_b[todo])
+        new = foot_on_circle(on_b, n_a[todo])
         moved = np.linalg.norm(new - on_a[todo], axis=1)
         on_a[todo] = new
         todo = todo[moved > 1e-12]

@@ -74,7 +74,7 @@ class Programme:
         weave = self.equations.weave
         pose, length = self.pose(q)
         d, n_a, n_b = (part[0] for part in pair_geometry(pose, weave))
-        found = local_minima(d, n_a, n_b, 1.0)
+        found = local_minima(d, n_a, n_b)
         g = np.matmul(distance_gradient(found)[:, None, :], self.equations.maps[found.pair])[:, 0]
         slopes = g @ self._velocities(pose, length)
         size = len(weave.pairs) + int(weave.linked.sum())

@@ -175,7 +175,7 @@ class Equations:
         force, bend = lam[contacts.present], np.zeros((len(T), m, m))
         bent = np.flatnonzero(force > least)
         na, nb = (pose.normals[case[bent], ring] for ring in self.weave.pairs[pair[bent], :2].T)
-        H = distance_hessian(minima.take(bent), na, nb, 1.0)
+        H = distance_hessian(minima.take(bent), na, nb)
         LTHLT = np.matmul(np.matmul(LT[bent].transpose(0, 2, 1), H), LT[bent])
         cases, first = np.unique(case[bent], return_index=True)
         if len(cases):

@@ -92,7 +92,7 @@ def _curvatures(con: Touching, rows: Index, frame: Array) -> Array:
     """Second derivatives (k, 7, 7) of the gaps of contacts `rows` (k,); frame (n, 3, 2) of each ring."""
     pair, normal = con.minima.pair[rows], con.placed.normal
     a, b = con.a[pair], con.b[pair]
-    H = distance_hessian(con.minima.take(rows), normal[a], normal[b], 1.0, con.fixed[rows])
+    H = distance_hessian(con.minima.take(rows), normal[a], normal[b], con.fixed[rows])
     B = np.zeros((len(rows), 9, PAIR))
     B[:, [0, 1, 2], [0, 1, 2]] = 1.0
     B[:, 3:6, 3:5], B[:, 6:9, 5:7] = frame[a], frame[b]

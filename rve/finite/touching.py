@@ -135,7 +135,7 @@ def find_touching(placed: Placed, linked: Index, wire: float, reach: float, *, b
     parts = []
     for first in range(0, max(len(a), 1), _CHUNK):
         rows = slice(first, first + _CHUNK)
-        found = local_minima(d[rows], na[rows], nb[rows], 1.0, reach=limit)
+        found = local_minima(d[rows], na[rows], nb[rows], reach=limit)
         parts.append(replace(found, pair=found.pair + first))
     minima = parts[0].join(parts[1:])
     free = len(minima.pair)
@@ -175,7 +175,7 @@ def _beside_soft(minima: Minima, d: Array, na: Array, nb: Array, wire: float, li
     parts = []
     for sign in (1.0, -1.0):
         rho_a = np.cos(aside)[:, None] * rows.rho_a + sign * np.sin(aside)[:, None] * tau
-        rho_b = foot_on_circle(rho_a - d[rows.pair], nb[rows.pair], 1.0)
+        rho_b = foot_on_circle(rho_a - d[rows.pair], nb[rows.pair])
         w = d[rows.pair] + rho_b - rho_a
         distance = norm(w)
         found = Minima(rows.pair, w / distance[:, None], rho_a, rho_b, distance, np.ones(len(distance)))
@@ -191,7 +191,7 @@ def followed_gaps(old: Touching, placed: Placed) -> Array:
     out = np.full(len(old.gap), np.inf)
     real = np.flatnonzero(~old.fixed)
     d, na, nb = placed.x[old.b] - placed.x[old.a], placed.normal[old.a], placed.normal[old.b]
-    out[real] = followed_minima(old.minima.take(real), d, na, nb, 1.0).distance - 2.0 * old.wire
+    out[real] = followed_minima(old.minima.take(real), d, na, nb).distance - 2.0 * old.wire
     return out
 
 
@@ -216,7 +216,7 @@ def links_intact(con: Touching, linked_keys: Index) -> bool:
     """Whether exactly the linked pairs interlink among all near pairs; far pairs cannot."""
     x, normal, rings = con.placed.x, con.placed.normal, ~con.is_wall
     a, b = con.a[rings], con.b[rings]
-    found = are_linked(x[b] - x[a], normal[a], normal[b], 1.0)
+    found = are_linked(x[b] - x[a], normal[a], normal[b])
     return bool((found == np.isin(con.key[rings], linked_keys)).all())
 
 

@@ -1,9 +1,9 @@
-"""Contact of two congruent tori: every local minimum of the distance of their centre circles, radius r1.
+"""Contact of two congruent tori: every local minimum of the distance of their centre circles. Lengths are in r1.
 
 Ring A has its centre at the origin and unit normal n_a, ring B its centre at d and unit normal n_b. Points on them are
 rho_a and d + rho_b, w = d + rho_b - rho_a joins them, D = |w|, u = w / D is the contact normal, from A to B, the gap is
-D - 2 r2. The distance of a point to a circle is closed form, so one angle is left: sample it, take every local minimum,
-polish by a safeguarded Newton iteration.
+D - 2 r2/r1. The distance of a point to a circle is closed form, so one angle is left: sample it, take every local
+minimum, polish by a safeguarded Newton iteration.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from rve.common import Array, Flags, Index, Rows
 
-# Two minima of linked rings merge in a pitchfork; below this share of the stiff curvature r1^2/D a minimum may have a
+# Two minima of linked rings merge in a pitchfork; below this share of the stiff curvature 1/D a minimum may have a
 # twin between two samples, so its neighbourhood is sampled again.
 _SOFT = 0.5
 # Coaxial and coincident rings have curvature 0 to round-off, and a distance all the same.
@@ -26,7 +26,7 @@ class Minima(Rows):
     """Local minima of the distance of two circles, one row per minimum.
 
     pair (m,) row of the input; normal (m, 3) unit vector from the point of A to the point of B; rho_a, rho_b (m, 3)
-    points relative to their centres; distance (m,); curvature (m,) of the distance along ring a, over r1^2 / distance:
+    points relative to their centres; distance (m,); curvature (m,) of the distance along ring a, times the distance:
     1 for a stiff minimum, 0 for one that is about to merge with another or to vanish.
     """
 
@@ -81,98 +81,93 @@ def turned(n: Array, tilt: Array) -> Array:
     return np.asarray(new / norm(new)[..., None])
 
 
-def foot_on_circle(p: Array, n: Array, r: float) -> Array:
-    """Point of the circle (centre 0, unit normal n, radius r) closest to p (..., 3), one of many for p on its axis."""
+def foot_on_circle(p: Array, n: Array) -> Array:
+    """Point of the circle (centre 0, unit normal n) closest to p (..., 3), one of many for p on its axis."""
     q = p - dot(p, n)[..., None] * n
     length = norm(q)
-    on_axis = length <= 1e-14 * r
+    on_axis = length <= 1e-14
     if np.any(on_axis):
         q = np.where(on_axis[..., None], tangent_frame(n)[0], q)
         length = np.where(on_axis, 1.0, length)
-    return q * (r / length)[..., None]
+    return q * (1.0 / length)[..., None]
 
 
-def are_linked(d: Array, n_a: Array, n_b: Array, r1: float) -> Flags:
+def are_linked(d: Array, n_a: Array, n_b: Array) -> Flags:
     """Whether the circles are linked, (n,): B meets the plane of A in two points, exactly one of them inside of A."""
     c = dot(n_a, n_b)
     in_plane = n_a - c[:, None] * n_b  # gradient in the plane of B of the height above plane A
     length = np.sqrt(np.maximum(dot(in_plane, in_plane), 1e-30))  # parallel planes: x stays a number
     e = in_plane / length[:, None]
     x = -dot(n_a, d) / length  # height above plane A is length * x in the frame (e, f) of circle B
-    inside = r1**2 - x**2
+    inside = 1.0 - x**2
     crosses = (inside > 0.0) & (length > 1e-12)
     y = np.sqrt(np.maximum(inside, 0.0))[:, None]
     f = cross(n_b, e)
     foot = d + x[:, None] * e
-    first = dot(foot + y * f, foot + y * f) < r1**2
-    second = dot(foot - y * f, foot - y * f) < r1**2
+    first = dot(foot + y * f, foot + y * f) < 1.0
+    second = dot(foot - y * f, foot - y * f) < 1.0
     return crosses & (first != second)
 
 
-def _lines(d: Array, n_a: Array, n_b: Array, r1: float) -> Array:
+def _lines(d: Array, n_a: Array, n_b: Array) -> Array:
     """Height z over B's plane and half the square h of rho_a - d, linear in the cosine and sine of the angle of rho_a:
     constant, cosine's and sine's part of z, then of h, (6, n)."""
     e1, e2 = tangent_frame(n_a)
-    h0, h1, h2 = 0.5 * (r1**2 + dot(d, d)), -r1 * dot(e1, d), -r1 * dot(e2, d)
-    return np.stack([-dot(d, n_b), r1 * dot(e1, n_b), r1 * dot(e2, n_b), h0, h1, h2])
+    h0, h1, h2 = 0.5 * (1.0 + dot(d, d)), -dot(e1, d), -dot(e2, d)
+    return np.stack([-dot(d, n_b), dot(e1, n_b), dot(e2, n_b), h0, h1, h2])
 
 
-def _slope_and_curvature(angle: Array, lines: Array, r1: float) -> tuple[Array, Array]:
-    """First and second derivative of D(angle), the distance of the point of A to circle B: D^2 = 2 h + r1^2 - 2 r1 q,
+def _slope_and_curvature(angle: Array, lines: Array) -> tuple[Array, Array]:
+    """First and second derivative of D(angle), the distance of the point of A to circle B: D^2 = 2 h + 1 - 2 q,
     where q^2 = 2 h - z^2 is the distance from B's axis. Numbers only, so that no vector is formed."""
     z0, z1, z2, h0, h1, h2 = lines
     c, s = np.cos(angle), np.sin(angle)
     zc, hc = z1 * c + z2 * s, h1 * c + h2 * s
     z, dz, dh = z0 + zc, z2 * c - z1 * s, h2 * c - h1 * s
-    q = np.sqrt(np.maximum(2.0 * (h0 + hc) - z * z, 1e-28 * r1**2))
+    q = np.sqrt(np.maximum(2.0 * (h0 + hc) - z * z, 1e-28))
     dq = (dh - z * dz) / q
     bend = (z * zc - hc - dz * dz - dq * dq) / q
     # Centre circles that cross have no normal; the floor keeps the numbers finite, the gap is -2 r2 all the same.
-    distance = np.maximum(np.sqrt(z * z + (q - r1) ** 2), 1e-12 * r1)
-    slope = (dh - r1 * dq) / distance
-    return slope, (-hc - r1 * bend - slope * slope) / distance
+    distance = np.maximum(np.sqrt(z * z + (q - 1.0) ** 2), 1e-12)
+    slope = (dh - dq) / distance
+    return slope, (-hc - bend - slope * slope) / distance
 
 
 def _polish(
-    pair: Index,
-    angle: Array,
-    width: float | Array,
-    circles: tuple[Array, Array, Array],
-    r1: float,
-    shift: float | Array = 0.0,
+    pair: Index, angle: Array, width: float | Array, circles: tuple[Array, Array, Array], shift: float | Array = 0.0
 ) -> tuple[Array, Minima]:
     """Newton on the slope from angle + shift, kept in the bracket angle +- width by bisection; angles and minima."""
     d, n_a, n_b = (of[pair] for of in circles)
-    lines, angle, low, high = _lines(d, n_a, n_b, r1), angle + shift, angle - width, angle + width
+    lines, angle, low, high = _lines(d, n_a, n_b), angle + shift, angle - width, angle + width
     # Converged rows are dropped, so results do not depend on the batch; most need five rounds, a few thirty.
     go = np.arange(len(angle))
     for _ in range(40):
         at = angle[go]
-        slope, curvature = _slope_and_curvature(at, lines[:, go], r1)
+        slope, curvature = _slope_and_curvature(at, lines[:, go])
         left = low[go] = np.where(slope < 0.0, at, low[go])
         right = high[go] = np.where(slope > 0.0, at, high[go])
         with np.errstate(divide="ignore", invalid="ignore"):
             newton = at - slope / curvature
         good = (curvature > 0.0) & (newton >= left) & (newton <= right)
         trial = np.where(good, newton, 0.5 * (left + right))
-        # A stationary point to round-off moves no further; slope is in mm per radian.
-        step = np.where(np.abs(slope) > 1e-15 * r1, trial - at, 0.0)
+        # A stationary point to round-off moves no further; slope is in r1 per radian.
+        step = np.where(np.abs(slope) > 1e-15, trial - at, 0.0)
         angle[go] = at + step
         go = go[np.abs(step) > 1e-9]
         if not len(go):
             break
     e1, e2 = tangent_frame(n_a)
-    rho_a = r1 * (np.cos(angle)[:, None] * e1 + np.sin(angle)[:, None] * e2)
-    rho_b = foot_on_circle(rho_a - d, n_b, r1)
+    rho_a = np.cos(angle)[:, None] * e1 + np.sin(angle)[:, None] * e2
+    rho_b = foot_on_circle(rho_a - d, n_b)
     w = d + rho_b - rho_a
-    distance = np.maximum(norm(w), 1e-12 * r1)
-    curvature = _slope_and_curvature(angle, lines, r1)[1] * distance / r1**2
+    distance = np.maximum(norm(w), 1e-12)
+    curvature = _slope_and_curvature(angle, lines)[1] * distance
     return angle, Minima(pair, w / distance[:, None], rho_a, rho_b, distance, curvature)
 
 
-def _samples(start: Array, offset: Array, d: Array, n_a: Array, n_b: Array, r1: float) -> Array:
-    """D^2 - r1^2 (n, k) at the angles start (n,) + offset (k,), see `_slope_and_curvature`."""
-    lines = _lines(d, n_a, n_b, r1)
+def _samples(start: Array, offset: Array, d: Array, n_a: Array, n_b: Array) -> Array:
+    """D^2 - 1 (n, k) at the angles start (n,) + offset (k,), see `_slope_and_curvature`."""
+    lines = _lines(d, n_a, n_b)
     c, s = np.cos(start), np.sin(start)
     cos, sin = np.cos(offset), np.sin(offset)
 
@@ -188,47 +183,47 @@ def _samples(start: Array, offset: Array, d: Array, n_a: Array, n_b: Array, r1: 
     np.multiply(z, z, out=z)
     np.subtract(pp, z, out=z)
     np.sqrt(np.maximum(z, 0.0, out=z), out=z)
-    z *= 2.0 * r1
+    z *= 2.0
     pp -= z
     return pp
 
 
-def local_minima(d: Array, n_a: Array, n_b: Array, r1: float, *, reach: float = np.inf, samples: int = 48) -> Minima:
+def local_minima(d: Array, n_a: Array, n_b: Array, *, reach: float = np.inf, samples: int = 48) -> Minima:
     """Every local minimum of the distance of two circles, for all pairs at once.
 
-    d, n_a, n_b (n, 3): centre of B seen from A in mm, unit normals; r1 in mm. Minima farther than `reach` mm are left
-    out. Returns `Minima` sorted by pair. Minima less than about 0.02 rad apart count as one: their distances then
-    differ by less than 1e-9 r1.
+    d, n_a, n_b (n, 3): centre of B seen from A, unit normals. Minima farther than `reach` are left out. Returns
+    `Minima` sorted by pair. Minima less than about 0.02 rad apart count as one: their distances then differ by less
+    than 1e-9.
 
     >>> import numpy as np
-    >>> two = local_minima(np.array([[9.0, 0, 0]]), np.array([[0, 0, 1.0]]), np.array([[0, 1.0, 0]]), 5.0)
+    >>> two = local_minima(np.array([[1.8, 0, 0]]), np.array([[0, 0, 1.0]]), np.array([[0, 1.0, 0]]))
     >>> two.distance.round(12)
-    array([1.])
+    array([0.2])
     """
     step = 2.0 * np.pi / samples
-    f = _samples(np.zeros(len(d)), step * np.arange(samples, dtype=np.float64), d, n_a, n_b, r1)
+    f = _samples(np.zeros(len(d)), step * np.arange(samples, dtype=np.float64), d, n_a, n_b)
     rise = np.roll(f, -1, axis=1) - f
     fall = np.roll(rise, 1, axis=1)
     is_min = (fall <= 0.0) & (rise > 0.0)
     lonely = ~is_min.any(axis=1)
     is_min[lonely, np.argmin(f[lonely], axis=1)] = True
-    # The distance falls by no more than r1 per radian: minima that cannot come within reach are not polished.
-    can_reach = f <= (reach + step * r1) ** 2 - r1**2
+    # The distance falls by no more than 1 per radian: minima that cannot come within reach are not polished.
+    can_reach = f <= (reach + step) ** 2 - 1.0
     pair, column = np.nonzero(is_min & can_reach)
     bend = rise[pair, column] - fall[pair, column]
     # The vertex of the parabola through three samples; a lonely sample may be no minimum and keeps its angle.
     vertex = np.where(bend > 0.0, -0.5 * (rise[pair, column] + fall[pair, column]) / np.maximum(bend, 1e-300), 0.0)
     centre, shift = step * column.astype(np.float64), step * np.clip(vertex, -0.5, 0.5)
-    angle, found = _polish(pair, centre, step, (d, n_a, n_b), r1, shift)
+    angle, found = _polish(pair, centre, step, (d, n_a, n_b), shift)
     near = found.distance <= reach
     found, angle = found.take(near), angle[near]
     soft = found.curvature < _SOFT
     hidden, place = _shoulders(rise, fall, can_reach, step)
     around, angles = np.concatenate([found.pair[soft], hidden]), np.concatenate([angle[soft], place])
-    return _with_twins(found, around, angles, reach, (d, n_a, n_b), r1) if len(around) else found
+    return _with_twins(found, around, angles, reach, (d, n_a, n_b)) if len(around) else found
 
 
-def followed_minima(near: Minima, d: Array, n_a: Array, n_b: Array, r1: float, *, width: float = 0.2) -> Minima:
+def followed_minima(near: Minima, d: Array, n_a: Array, n_b: Array, *, width: float = 0.2) -> Minima:
     """The minima (m,) that rings which have moved a little have beside those of before; a fraction of a search's work.
 
     near: minima of before; d, n_a, n_b (n, 3) of the moved pairs as in `local_minima`. Each row is a pair of points
@@ -236,13 +231,13 @@ def followed_minima(near: Minima, d: Array, n_a: Array, n_b: Array, r1: float, *
     than the distance of the circles.
 
     >>> import numpy as np
-    >>> d, n_a, n_b = np.array([[9.0, 0, 0]]), np.array([[0, 0, 1.0]]), np.array([[0, 1.0, 0]])
-    >>> followed_minima(local_minima(d, n_a, n_b, 5.0), d + [0.25, 0, 0], n_a, n_b, 5.0).distance.round(12)
-    array([0.75])
+    >>> d, n_a, n_b = np.array([[1.8, 0, 0]]), np.array([[0, 0, 1.0]]), np.array([[0, 1.0, 0]])
+    >>> followed_minima(local_minima(d, n_a, n_b), d + [0.05, 0, 0], n_a, n_b).distance.round(12)
+    array([0.15])
     """
     e1, e2 = tangent_frame(n_a[near.pair])
     angle = np.arctan2(dot(near.rho_a, e2), dot(near.rho_a, e1))
-    return _polish(near.pair, angle, width, (d, n_a, n_b), r1)[1]
+    return _polish(near.pair, angle, width, (d, n_a, n_b))[1]
 
 
 def _shoulders(rise: Array, fall: Array, can_reach: Flags, step: float) -> tuple[Index, Array]:
@@ -257,19 +252,17 @@ def _shoulders(rise: Array, fall: Array, can_reach: Flags, step: float) -> tuple
     return pair[flat], step * (column[flat] + 0.5)
 
 
-def _with_twins(
-    found: Minima, pair: Index, angle: Array, reach: float, circles: tuple[Array, Array, Array], r1: float
-) -> Minima:
+def _with_twins(found: Minima, pair: Index, angle: Array, reach: float, circles: tuple[Array, Array, Array]) -> Minima:
     """The minima found and those that sampling has missed around the angles (k,) of the pairs (k,), each once."""
     d, n_a, n_b = circles
     # Twins may be 0.001 rad apart or 0.1: the samples crowd towards the minimum.
     offset = 0.8 / np.sinh(6.0) * np.sinh(np.linspace(-6.0, 6.0, 97))
     width = np.diff(offset)
-    f = _samples(angle, offset, d[pair], n_a[pair], n_b[pair], r1)
+    f = _samples(angle, offset, d[pair], n_a[pair], n_b[pair])
     slope = np.diff(f, axis=1) / width
     row, column = np.nonzero((slope[:, :-1] <= 0.0) & (slope[:, 1:] > 0.0))
     bracket = np.maximum(width[column], width[column + 1])
-    _, twins = _polish(pair[row], angle[row] + offset[column + 1], bracket, circles, r1)
+    _, twins = _polish(pair[row], angle[row] + offset[column + 1], bracket, circles)
     # A symmetric start may sit on the saddle between two twins: stationary, but no minimum.
     soft, stable = found.curvature < _SOFT, found.curvature > -_ROUND_OFF
     twins = twins.take((twins.curvature > -_ROUND_OFF) & (twins.distance <= reach))
@@ -279,5 +272,5 @@ def _with_twins(
     # Two soft minima are found three times each and their order by distance is round-off: look back past all of them.
     for back in range(1, 8):
         apart = both.rho_a[back:] - both.rho_a[:-back]
-        first[back:] &= (both.pair[back:] != both.pair[:-back]) | (dot(apart, apart) >= (1e-4 * r1) ** 2)
+        first[back:] &= (both.pair[back:] != both.pair[:-back]) | (dot(apart, apart) >= 1e-4**2)
     return both.take(first)

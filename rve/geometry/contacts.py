@@ -56,7 +56,7 @@ def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float) -> CellCo
     d, na, nb = (x.reshape(-1, 3) for x in pair_geometry(pose, weave))
     n, p, limit = len(pose.lattice), len(weave.pairs), 2.0 * wire + reach
     near = np.flatnonzero(can_touch(d, limit))
-    found = local_minima(d[near], na[near], nb[near], 1.0, reach=limit)
+    found = local_minima(d[near], na[near], nb[near], reach=limit)
     rank = np.zeros(len(found.pair), dtype=int)
     for back in range(1, SLOTS + 1):
         rank[back:] += found.pair[back:] == found.pair[:-back]
@@ -76,7 +76,7 @@ def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float) -> CellCo
         slots(found.rho_a, 0.0),
         slots(found.rho_b, 0.0),
         slots(found.normal, 0.0),
-        (are_linked(d, na, nb, 1.0).reshape(n, p) == weave.linked).all(axis=1),
+        (are_linked(d, na, nb).reshape(n, p) == weave.linked).all(axis=1),
     )
 
 
@@ -84,8 +84,8 @@ def gap_bound(contacts: CellContacts, pose: Pose, weave: Weave, wire: float) -> 
     """Upper bound (n,) of the smallest gap of poses, from points near these contacts of poses nearby: no search."""
     near = contacts.minima
     d, na, nb = (x.reshape(-1, 3)[near.pair] for x in pair_geometry(pose, weave))
-    rho_a = foot_on_circle(d + foot_on_circle(near.rho_b, nb, 1.0), na, 1.0)
-    way = d + foot_on_circle(rho_a - d, nb, 1.0) - rho_a
+    rho_a = foot_on_circle(d + foot_on_circle(near.rho_b, nb), na)
+    way = d + foot_on_circle(rho_a - d, nb) - rho_a
     gap = np.full(contacts.present.shape, np.inf)
     gap[contacts.present] = norm(way) - 2.0 * wire
     return np.asarray(gap.reshape(len(gap), -1).min(axis=1))
@@ -148,12 +148,12 @@ def pairs_in_reach(pose: Pose, weave: Weave, wire: float, reach: float) -> Index
 
 def distance_gradient(m: Minima) -> Array:
     """Derivative of the distance with respect to (d, theta_a, theta_b), (m, 9), theta being rotation vectors in space:
-    dD = u . dd - (rho_a x u) . dtheta_a + (rho_b x u) . dtheta_b. Units 1 and mm (per radian).
+    dD = u . dd - (rho_a x u) . dtheta_a + (rho_b x u) . dtheta_b. Units 1 and r1 (per radian).
     """
     return np.concatenate([m.normal, -cross(m.rho_a, m.normal), cross(m.rho_b, m.normal)], axis=1)
 
 
-def distance_hessian(m: Minima, n_a: Array, n_b: Array, r1: float, fixed: Flags | None = None) -> Array:
+def distance_hessian(m: Minima, n_a: Array, n_b: Array, fixed: Flags | None = None) -> Array:
     """Second derivative of the distance with respect to (d, theta_a, theta_b), (m, 9, 9), exponential coordinates.
 
     n_a, n_b (m, 3): normals of the rings. With q = (d, theta) and the two angles phi that place the points,
@@ -176,13 +176,12 @@ def distance_hessian(m: Minima, n_a: Array, n_b: Array, r1: float, fixed: Flags 
     D_qp = np.matmul(W.transpose(0, 2, 1), w_phi) / dist[:, None, None]
     D_qp[:, 3:6, 0] -= cross(ta, u)
     D_qp[:, 6:9, 1] += cross(tb, u)
-    aa = r1**2 / dist + dot(u, ra)
-    bb = r1**2 / dist - dot(u, rb)
+    aa = 1.0 / dist + dot(u, ra)
+    bb = 1.0 / dist - dot(u, rb)
     ab = -dot(ta, tb) / dist
-    scale = (r1**2 / dist) ** 2
-    det = np.maximum(aa * bb - ab**2, 1e-10 * scale)
+    det = np.maximum(aa * bb - ab**2, 1e-10 * (1.0 / dist) ** 2)
     inverse = np.stack([np.stack([bb, -ab], 1), np.stack([-ab, aa], 1)], 1) / det[:, None, None]
     if fixed is not None:
         inverse[fixed] = 0.0
-        inverse[fixed, 1, 1] = 1.0 / np.maximum(bb[fixed], 1e-10 * r1**2 / dist[fixed])
+        inverse[fixed, 1, 1] = 1.0 / np.maximum(bb[fixed], 1e-10 / dist[fixed])
     return D_qq - np.matmul(np.matmul(D_qp, inverse), D_qp.transpose(0, 2, 1))

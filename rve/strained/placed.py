@@ -88,11 +88,11 @@ def fit_rings(index: Index, centre: Array, normal: Array, cell: Cell) -> Fit:
             one, two = first[k : k + _CHUNK], second[k : k + _CHUNK]
             d = (centre[two] - centre[one]) / cell.r1
             near = np.flatnonzero(dot(d, d) < (2.0 + reach) ** 2)
-            found = local_minima(d[near], normal[one[near]], normal[two[near]], 1.0, reach=reach)
+            found = local_minima(d[near], normal[one[near]], normal[two[near]], reach=reach)
             for rings in (one, two):
                 np.minimum.at(gap, rings[near[found.pair]], cell.r1 * found.distance - 2.0 * cell.r2)
             if cell.weave.linked[pair]:
-                holds = are_linked(d, normal[one], normal[two], 1.0)
+                holds = are_linked(d, normal[one], normal[two])
                 links, linked = links + len(holds), linked + int(holds.sum())
                 broken[one[~holds]] = broken[two[~holds]] = True
     return Fit(gap, links, linked, broken)

@@ -117,7 +117,7 @@ def corner_forces(rings: TenRings, s: Array) -> Array:
 
 @dataclass(frozen=True)
 class PairContacts:
-    """Contacts of all pairs of rings: ring numbers (c, 2), gaps (c,) in mm, gradients N (c, 6 n), minima; links."""
+    """Contacts of all pairs: ring numbers (c, 2), gaps (c,) in mm, gradients N (c, 6 n), minima in r1; links."""
 
     pair: NDArray[np.intp]
     gap: Array
@@ -126,16 +126,21 @@ class PairContacts:
     links: NDArray[np.bool_]
 
 
+def units(options: StewartTrinkleOptions) -> Array:
+    """r1 in mm of the offset, 1 of both turns (9,): what the coordinates of a distance have as unit."""
+    return np.repeat([options.r1_mm, 1.0, 1.0], 3)
+
+
 def find(rings: TenRings, options: StewartTrinkleOptions) -> PairContacts:
     """Contacts between any two of the rings, nearer than the reach of the options, and which pairs interlink."""
     a, b = np.triu_indices(N, 1)
-    circles = rings.centres[b] - rings.centres[a], rings.normals[a], rings.normals[b], options.r1_mm
-    found = local_minima(*circles, reach=(2.0 * WIRE + options.reach) * options.r1_mm)
-    gradient, line = distance_gradient(found), np.arange(len(found.pair))
+    circles = (rings.centres[b] - rings.centres[a]) / options.r1_mm, rings.normals[a], rings.normals[b]
+    found = local_minima(*circles, reach=2.0 * WIRE + options.reach)
+    gradient, line = options.r1_mm * distance_gradient(found) / units(options), np.arange(len(found.pair))
     slope, pair = np.zeros((len(line), N, 6)), np.stack([a[found.pair], b[found.pair]], axis=1)
     slope[line, pair[:, 0], :3], slope[line, pair[:, 1], :3] = -gradient[:, :3], gradient[:, :3]
     slope[line, pair[:, 0], 3:], slope[line, pair[:, 1], 3:] = gradient[:, 3:6], gradient[:, 6:]
-    gap = found.distance - 2.0 * WIRE * options.r1_mm
+    gap = options.r1_mm * (found.distance - 2.0 * WIRE)
     return PairContacts(pair, gap, slope.reshape(len(line), 6 * N), found, are_linked(*circles))
 
 
@@ -164,7 +169,7 @@ def moved(rings: TenRings, v: Array, h: float) -> TenRings:
 def curvature(found: PairContacts, rings: TenRings, basis: Array, M: Array, options: StewartTrinkleOptions) -> Array:
     """Positive part of -sum lam d2gap on the velocities of `basis`; see `stewart_trinkle.geometric_stiffness`."""
     normals = rings.normals[found.pair[:, 0]], rings.normals[found.pair[:, 1]]
-    H = distance_hessian(found.minima, *normals, options.r1_mm)
+    H = options.r1_mm * distance_hessian(found.minima, *normals) / np.outer(units(options), units(options))
     bend = np.zeros((basis.shape[1],) * 2)
     for (a, b), gap, hessian in zip(found.pair, found.gap, H, strict=True):
         L = np.zeros((9, N, 6))
