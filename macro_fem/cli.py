@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from rve.common import (
     write_text,
 )
 from rve.common.commands.command_line import Group, answer, no_picture, options, say, say_next
-from rve.common.commands.sweeps import SweepItem, absolute, run_sweep, sweep_options
+from rve.common.commands.sweeps import SweepItem, further_options, run_sweep, sweep_options
 
 MOST_RINGS = 90_000
 """From this many on `localize` is told that they are wanted: its own limit is a little above."""
@@ -176,12 +175,9 @@ def sweep(out: Path, arguments: tuple[str, ...], jobs: int, cluster: str | None)
     The same command again runs only what is not finished. Exit code 1 if a scene failed: sweep.csv says why.
     """
     scenes = [Path(one) for one in takewhile(lambda one: not one.startswith("-"), arguments)]
-    further = absolute(arguments[len(scenes) :])
-    (name, count), *_ = Counter(scene.stem for scene in scenes).most_common(1) or [("", 0)]
-    if count > 1:
-        raise InputError(f"scenes: two are called {name}, and each needs a folder of its own; rename one")
-    if any(one.split("=")[0] == "--out" for one in further):
-        raise InputError("--out: is given by the sweep")
+    if not scenes:
+        raise InputError("SCENE: name at least one file, before the options")
+    further = further_options(arguments[len(scenes) :])
     items = []
     for scene in scenes:
         folder = out.resolve() / scene.stem

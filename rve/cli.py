@@ -24,7 +24,7 @@ from rve.common.commands.command_line import (
     say,
     say_next,
 )
-from rve.common.commands.sweeps import SweepItem, absolute, run_sweep, sweep_options
+from rve.common.commands.sweeps import SweepItem, further_options, run_sweep, sweep_options
 from rve.common.materials import MATERIALS, material_of
 from rve.common.rings import Joint, check_ring_size
 
@@ -258,15 +258,13 @@ def table_items(
     cells = list(itertools.product(weave, r1, r2))
     if not 0 < len(cells) <= MOST_TABLES:
         raise InputError(f"--r1, --r2 and --weave: make {len(cells)} tables, at most {MOST_TABLES} are allowed")
-    for name in ("--out", "--r1", "--r2", "--weave", "--grain"):
-        if any(one.split("=")[0] == name for one in further):
-            raise InputError(f"{name}: is given by the sweep")
+    further = further_options(further, ("--out", "--r1", "--r2", "--weave", "--grain"))
     items = []
     for name, big, small in cells:
         r1_text, r2_text = (repr(float(one)).removesuffix(".0") for one in (big, small))  # another name for each number
         table = out.resolve() / f"{name}_{grain}_r1-{r1_text}_r2-{r2_text}.csv"
         asked = ("--weave", name, "--grain", grain, "--r1", repr(big), "--r2", repr(small))
-        arguments = ("table", "--out", str(table), *asked, *absolute(further))
+        arguments = ("table", "--out", str(table), *asked, *further)
         items.append(SweepItem(table.stem, "rve", arguments, sidecar_path(table)))
     return items
 

@@ -11,8 +11,8 @@ from rve.common.rings import Joint
 from rve.equilibrium.elastic_rings import ring_states
 from rve.equilibrium.interior_point import DirectOptions
 from rve.equilibrium.system import Equations
-from rve.geometry.cell import Cell
-from rve.solve import locked_states, reference_sides, weave_sides
+from rve.geometry.cell import Cell, weave_axes, weave_sides
+from rve.solve import locked_states, reference_sides
 from rve.table import StrainTable
 
 
@@ -57,9 +57,7 @@ def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOption
     sides = (known["b_x_mm"], known["b_y_mm"]) if "b_x_mm" in known else reference_sides(cell, DirectOptions())
     equations = Equations.of(states.cell.weave, cell.wire)
     rings = ring_states(equations, found, states.s, weave_sides(states.cell, sides), material.poisson, joint.angles_deg)
-    D = rings.locking + rings.elastic / (material.young_N_per_mm2 * cell.r1)
-    if cell.grain == "x":
-        D = D[:, ::-1, ::-1]
+    D = (rings.locking + rings.elastic / (material.young_N_per_mm2 * cell.r1))[:, weave_axes(cell), weave_axes(cell)]
     asked = np.stack([rings.first_yield, rings.collapse], axis=1) / cell.r1
     strength = asked / (table.S[:, 0] + table.S[:, 2])[:, None]
     provenance = known | {"compliance": "rings", "joint": joint.name, "material": asdict(material)}

@@ -33,10 +33,10 @@ def drawn_rings(states: LockedStates, k: int) -> DrawnRings:
 
 def contacts_mm(states: LockedStates) -> tuple[Array, Array, Array]:
     """Loaded contacts of the drawn rings of the first state: points (m, 3) in mm, normals (m, 3), forces (m,)."""
-    cell, pose, contacts = states.cell, states.pose, states.contacts
+    cell, pose, contacts, lam = states.cell, states.pose, states.found.contacts, states.found.lam[0]
     drawn = {tuple(int(x) for x in ring) for ring in cell.weave.rings}
     points, normals, forces = [], [], []
-    for p, slot in np.argwhere(contacts.present[0] & (states.lam[0] >= 1e-6)):
+    for p, slot in np.argwhere(contacts.present[0] & (lam >= 1e-6)):
         rho_a, rho_b = contacts.rho[0, p, slot], contacts.rho_b[0, p, slot]
         a, b, i, j = (int(x) for x in cell.weave.pairs[p])
         for ring, di, dj in drawn:
@@ -46,7 +46,7 @@ def contacts_mm(states: LockedStates) -> tuple[Array, Array, Array]:
             target = pose.centres[0, b] + (di + i) * pose.a1[0] + (dj + j) * pose.a2[0]
             points.append(0.5 * cell.r1 * (rho_a + rho_b + np.append(origin + target, 0.0)))
             normals.append(contacts.normal[0, p, slot])
-            forces.append(states.lam[0, p, slot])
+            forces.append(lam[p, slot])
     at, along = (swapped(np.array(part).reshape(-1, 3), cell) for part in (points, normals))
     return at, along, np.array(forces)
 

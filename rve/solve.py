@@ -22,7 +22,7 @@ from rve.equilibrium.mixtures import MOVED
 from rve.equilibrium.symmetry import solve_equilibrium_symmetric
 from rve.equilibrium.system import Equations, mirror_modes
 from rve.explain import solver_work
-from rve.geometry.cell import Cell
+from rve.geometry.cell import Cell, weave_axes, weave_sides
 from rve.geometry.contacts import unlisted_gap, widened
 from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
 from rve.geometry.pose import Pose, deformation, strain_of, tiled
@@ -37,9 +37,7 @@ def locked_block(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectO
 
     Rows with a negative principal load get the status "compressive" and are not solved.
     """
-    s = cauchy_line_load(alpha_deg, beta_deg)
-    if cell.grain == "x":
-        s = s[:, ::-1]
+    s = cauchy_line_load(alpha_deg, beta_deg)[:, weave_axes(cell)]
     principal = cauchy_line_load(np.zeros_like(beta_deg), beta_deg)
     tensile = np.asarray(np.all(principal[:, [0, 2]] >= 0.0, axis=1))
     solved = np.where(tensile[:, None], s, np.array([0.0, 0.0, 1.0]))
@@ -89,18 +87,6 @@ def reference_pose(cell: Cell, options: DirectOptions) -> Pose:
     if found.status[0] != "converged":
         raise NotConverged(f"the reference cell (a pull along the grain): {SENTENCES[str(found.status[0])]}")
     return found.pose
-
-
-def weave_sides(cell: Cell, sides_mm: tuple[float, float]) -> tuple[float, float]:
-    """Sides in r1, along the weave's axes, of the whole cell of `cell.weave`, for reference sides b_x, b_y in mm."""
-    (b_x, b_y), (nx, ny) = sides_mm, cell.weave.repeat
-    first, second = (b_y, b_x) if cell.grain == "x" else (b_x, b_y)
-    return first * nx / cell.r1, second * ny / cell.r1
-
-
-def weave_axes(cell: Cell) -> slice:
-    """Picks the components of a triple in the order of the weave's axes, and back."""
-    return slice(None, None, -1 if cell.grain == "x" else 1)
 
 
 def lattice_mm(pose: Pose, cell: Cell) -> tuple[Array, Array]:
@@ -162,7 +148,7 @@ def largest_table(
     """
     began = time.perf_counter()
     s, planar = states.s, states
-    first = make_rows(states.found, s, _loaded(states.cell, options, sides_mm))
+    first = make_rows(states.found, s, LoadedCell.of(states.cell, sides_mm, options))
     states, rows, left = largest_states(states, first, s, options, sides_mm)
     primitive = rows.E
     for mesh in cell.stages(states.cell.weave):
@@ -187,16 +173,12 @@ def largest_table(
     return table, branch_record(table, first, rows, left, time.perf_counter() - began) | record
 
 
-def _loaded(cell: Cell, options: DirectOptions, sides_mm: tuple[float, float]) -> LoadedCell:
-    return LoadedCell.of(cell.weave, cell.wire, weave_sides(cell, sides_mm), options)
-
-
 def largest_states(
     states: LockedStates, rows: RowStates, s: Array, options: DirectOptions, sides_mm: tuple[float, float]
 ) -> tuple[LockedStates, RowStates, Flags]:
     """Locked states of largest work in their cell under the Cauchy loads s (n, 3); the rows; the rows (n,) that a known
     state still contradicts. A coexisting state has the unit Cauchy load that it carries in its own pose."""
-    mesh = _loaded(states.cell, options, sides_mm)
+    mesh = LoadedCell.of(states.cell, sides_mm, options)
     rows, found, changed, left = largest_rows(rows, states.found, s, mesh)
     unique, loads, lam = states.unique.copy(), states.s.copy(), found.lam.copy()
     unique[changed], loads[changed] = rows.unique[changed], s[changed]

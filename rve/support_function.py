@@ -14,10 +14,11 @@ from rve.equilibrium.dead_load import LoadedCell
 from rve.equilibrium.interior_point import DirectOptions, unit_loads
 from rve.equilibrium.largest_work import KnownStates, Largest, largest, largest_beyond
 from rve.equilibrium.limits import strain_is_unique
-from rve.geometry.cell import Cell
+from rve.geometry.cell import Cell, weave_axes
 from rve.geometry.contacts import unlisted_gap, widened
+from rve.geometry.pose import strain_of
 from rve.geometry.weave import Weave
-from rve.solve import lattice_mm, reference_sides, weave_axes, weave_sides
+from rve.solve import lattice_mm, reference_sides
 
 ROUND_OFF = 1e-6
 """Share of the larger eigenvalue by which the smaller one may be negative: loads are typed with few digits."""
@@ -137,7 +138,7 @@ def support(
         if unlisted_gap(found.pose, mesh.weave, cell.wire).min() >= 0.0:
             break
     good, reached = found.status == "converged", best.states
-    E = best.mesh.strain(found.pose)[:, weave_axes(cell)]
+    E = strain_of(found.pose, best.mesh.sides)[:, weave_axes(cell)]
     E, x2, x3 = (np.where(good[:, None], values, np.nan) for values in (E, *lattice_mm(found.pose, mesh)))
     R, gap = (np.where(good, values, np.nan) for values in (found.R, cell.r1 * found.contacts.min_gap))
     works = [[float(size) * work for work in each] for size, each in zip(trace(S), best.works, strict=True)]
@@ -188,12 +189,12 @@ def solve_largest(
     """Best states of the loads (n, 3), flags `unique` (n,), and the cell of their poses, with the pairs of `weave`."""
     mesh, stages = replace(cell, weave=weave, cells=(1, 1), centres="plane"), cell.stages(weave)
     known, beyond = (None, known) if stages else (known, None)
-    loaded, beside = LoadedCell.of(weave, cell.wire, weave_sides(mesh, sides_mm), options), None
+    loaded, beside = LoadedCell.of(mesh, sides_mm, options), None
     others = company(loads, known) if options.branches != "first" else loads[:0]
     if len(others):
         beside = largest(others, replace(loaded, options=replace(options, branches="first"))).states
     best = largest(loads, loaded, known, beside)
     for mesh in stages:
-        loaded = LoadedCell.of(mesh.weave, cell.wire, weave_sides(mesh, sides_mm), options)
+        loaded = LoadedCell.of(mesh, sides_mm, options)
         best = largest_beyond(best, beyond if mesh is stages[-1] else None, loaded)
     return best, strain_is_unique(loaded.dead, best.found, unit_loads(loads)), mesh

@@ -19,6 +19,7 @@ from homogenize.io import DEFAULT_LAW
 from macro_fem.cli import main as macro_fem
 from rve.cli import main as rve
 from rve.cli import table_items
+from rve.common import heard_by
 from rve.common.commands.sweeps import Ended, SweepItem, _end_with_parent, run_item, sweep
 from tests.squares import write_square
 
@@ -175,12 +176,13 @@ def test_a_cluster_that_loses_a_worker_half_way_gives_the_same_tables(tmp_path, 
         victim = cluster.workers[1].pid
         killed = []
 
-        def done(name):
+        def listen(work, share):
             if not killed:
                 os.kill(victim, signal.SIGKILL)
-                killed.append(name)
+                killed.append(work)
 
-        ended = sweep(items, tmp_path, cluster=cluster.scheduler_address, done=done)
+        with heard_by(listen):
+            ended = sweep(items, tmp_path, cluster=cluster.scheduler_address)
     assert killed
     assert [how.code for how in ended] == [0] * len(items)
     for name, content in single.items():

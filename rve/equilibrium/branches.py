@@ -20,7 +20,7 @@ from rve.equilibrium.interior_point import Equilibrium, unit_loads
 from rve.equilibrium.largest_work import GAIN, ROUNDS, KnownStates, Largest, climbed, largest, states_beyond
 from rve.equilibrium.limits import balanced, strain_is_unique
 from rve.equilibrium.mixtures import MOVED, best_mixture, equal_shares
-from rve.geometry.pose import Pose, start_pose
+from rve.geometry.pose import Pose, start_pose, strain_of
 
 SAMPLE = 4
 """One in so many rows, and every row of rank one, is also solved as a dead load: independent starts."""
@@ -50,7 +50,7 @@ class RowStates(Rows):
     @staticmethod
     def of(mesh: LoadedCell, pose: Pose, s: Array, branch: str, unique: Flags) -> RowStates:
         """Locked poses under Cauchy loads."""
-        E = mesh.strain(pose)
+        E = strain_of(pose, mesh.sides)
         return RowStates(pose, mesh.conjugate(E, s), E, np.full(len(s), branch, dtype="<U16"), unique)
 
     def states(self, mesh: LoadedCell) -> KnownStates:
@@ -161,7 +161,7 @@ def _solve_from_rivals(
     lead = known.pose.take(np.array([one[0] for one in mixtures]))
 
     def climbing(new: Equilibrium) -> tuple[Flags, Array, Flags]:
-        E, S, got = mesh.strain(new.pose), np.ones((len(bad), 3)), new.status == "converged"
+        E, S, got = strain_of(new.pose, mesh.sides), np.ones((len(bad), 3)), new.status == "converged"
         S[got] = mesh.conjugate(E[got], s[got])
         return got, E, got & (_missing_work(S, E, known) <= GAIN)
 
@@ -200,7 +200,7 @@ def balance_works(
     join another. States that join all the same count once.
     """
     first, members = np.unique(owner, return_index=True)[1], [np.flatnonzero(owner == i) for i in range(len(s))]
-    E, S, fine = mesh.strain(pose), np.zeros((len(s), 3)), np.zeros(len(s), dtype=bool)
+    E, S, fine = strain_of(pose, mesh.sides), np.zeros((len(s), 3)), np.zeros(len(s), dtype=bool)
     trail: dict[int, tuple[Array, Array]] = {}
     open_ = [i for i, own in enumerate(members) if len(own) > 1]
     found = replace(before.take(owner), status=np.full(len(owner), "stalled", dtype="<U16"))
@@ -233,7 +233,7 @@ def balance_works(
             pick = np.concatenate([members[i] for i in lost])
             new = restart_patiently(S[owner[pick]], mesh.dead, pose.take(pick), mesh.options, margin)
             found = found.put(pick, new)
-            E[pick] = mesh.strain(new.pose)
+            E[pick] = strain_of(new.pose, mesh.sides)
             lost = [i for i in lost if equal_shares(s[i], E[members[i]], mesh) is None]
             if not lost:
                 break

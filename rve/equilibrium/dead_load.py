@@ -15,10 +15,10 @@ from rve.common.tensor import double_dot, trace
 from rve.equilibrium.interior_point import NEVER, DirectOptions, Equilibrium, follow, unit_loads
 from rve.equilibrium.limits import shortest
 from rve.equilibrium.system import Equations, on_coordinates
+from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.contacts import parallel_clearance
 from rve.geometry.kinematics import deformation_gradient, second_pk
 from rve.geometry.pose import Pose, moved, start_pose, strain_of
-from rve.geometry.weave import Weave
 
 MARGINS = (1e-4, 1e-6)
 """Gaps of a restart in r1, tried in turn. Wider ones converge faster, but may slide into a state of less work."""
@@ -67,19 +67,15 @@ class LoadedCell:
     options: DirectOptions
 
     @staticmethod
-    def of(weave: Weave, wire: float, sides: tuple[float, float], options: DirectOptions) -> LoadedCell:
-        """The cell of a weave with wire radius r2/r1."""
-        equations = Equations.of(weave, wire)
+    def of(cell: Cell, sides_mm: tuple[float, float], options: DirectOptions) -> LoadedCell:
+        """A cell, of the weave that it names, on a reference cell with sides b_x, b_y in mm."""
+        equations, sides = Equations.of(cell.weave, cell.wire), weave_sides(cell, sides_mm)
         return LoadedCell(equations, replace(equations, load=DeadLoad(sides)), sides, options)
 
     def conjugate(self, E: Array, s: Array) -> Array:
         """S (n, 3) of unit trace of the Cauchy loads s on cells with the strains E, by the rotation rule."""
         S = second_pk(deformation_gradient(E), s)
         return np.asarray(S / trace(S)[:, None])
-
-    def strain(self, pose: Pose) -> Array:
-        """Strain (n, 3) of the poses."""
-        return strain_of(pose, self.sides)
 
 
 def solve_dead(S: Array, equations: Equations, options: DirectOptions, start: Pose | None = None) -> Equilibrium:
@@ -158,7 +154,7 @@ def follow_promising(S: Array, E: Array, mesh: LoadedCell, start: Pose) -> tuple
     patience, most = min(PROBE_PATIENCE, once.patience), min(PROBE_STEPS, once.max_iterations)
     probe = replace(once, mu_end=PROBE, tolerance=PROBE, patience=patience, max_iterations=most)
     path = solve_dead(S, mesh.dead, probe, start)
-    short = E - mesh.strain(path.pose)
+    short = E - strain_of(path.pose, mesh.sides)
     far = np.abs(short).max(axis=1) > SAME_STRAIN
     loaded = ((path.lam > path.contacts.gap) & path.contacts.present).sum(axis=(1, 2))
     missing = mesh.sides[0] * mesh.sides[1] * double_dot(unit_loads(S), short) / PROBE

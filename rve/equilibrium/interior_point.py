@@ -95,22 +95,12 @@ class LockedStates(Rows):
         """Poses in units of r1."""
         return self.found.pose
 
-    @property
-    def lam(self) -> Array:
-        """Contact forces (n, p, SLOTS) in units of s r1."""
-        return self.found.lam
-
-    @property
-    def contacts(self) -> CellContacts:
-        """Where the forces act."""
-        return self.found.contacts
-
     def listing(self, cell: Cell) -> LockedStates:
         """The same states for a cell whose weave lists more pairs after those of this one."""
-        more = len(cell.weave.pairs) - self.lam.shape[1]
+        more = len(cell.weave.pairs) - self.found.lam.shape[1]
         if not more:
             return self
-        lam = np.pad(self.lam, ((0, 0), (0, more), (0, 0)))
+        lam = np.pad(self.found.lam, ((0, 0), (0, more), (0, 0)))
         contacts = find_contacts(self.pose, cell.weave, cell.wire, self.reach)
         return replace(self, cell=cell, found=replace(self.found, lam=lam, contacts=contacts))
 

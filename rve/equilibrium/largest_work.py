@@ -28,7 +28,7 @@ from rve.equilibrium.dead_load import (
 from rve.equilibrium.interior_point import Equilibrium, unit_loads
 from rve.equilibrium.limits import balanced, loose_motions
 from rve.equilibrium.system import Equations
-from rve.geometry.pose import Pose, mirrored, moved, tiled
+from rve.geometry.pose import Pose, mirrored, moved, strain_of, tiled
 
 GAIN = 1e-9
 """Work at unit trace of S by which a state must exceed another to count as a better one; round-off leaves 1e-12."""
@@ -64,7 +64,7 @@ class KnownStates(Rows):
         """The converged ones of these equilibria under loads S (n, 3)."""
         ended = found.status == "converged"
         pose = found.pose.take(ended)
-        return KnownStates(pose, S[ended], mesh.strain(pose))
+        return KnownStates(pose, S[ended], strain_of(pose, mesh.sides))
 
     def with_images(self, mesh: LoadedCell) -> KnownStates:
         """These states and, for a weave that is its own mirror image, what a mirror shows of them."""
@@ -97,11 +97,11 @@ class Largest:
         """The converged states."""
         rows = np.flatnonzero(np.isfinite(self.h))
         pose = self.found.pose.take(rows)
-        return KnownStates(pose, self.S[rows], self.mesh.strain(pose))
+        return KnownStates(pose, self.S[rows], strain_of(pose, self.mesh.sides))
 
     def raised(self, rows: Index, new: Equilibrium, branch: str) -> Largest:
         """With the best of the states known and those of `new` under the loads `rows`, which may be several of one."""
-        work = double_dot(self.S[rows], self.mesh.strain(new.pose))
+        work = double_dot(self.S[rows], strain_of(new.pose, self.mesh.sides))
         h, names, works, best = self.h.copy(), self.branch.copy(), [*self.works], np.full(len(self.h), -1)
         for k in np.lexsort((work, rows)):
             row, value = rows[k], float(work[k])
@@ -161,7 +161,7 @@ def _with_random_starts(best: Largest, near: Array) -> Largest:
     mesh = best.mesh
     about = (np.linalg.norm(disc(best.S)[:, None] - disc(near)[None], axis=2) < VICINITY).sum(axis=1)
     rows = np.repeat(np.arange(len(best.S)), -(-STARTS // np.maximum(about, 1)))
-    E = np.where(np.isfinite(best.h)[:, None], mesh.strain(best.found.pose), -NO_WORK * IDENTITY)
+    E = np.where(np.isfinite(best.h)[:, None], strain_of(best.found.pose, mesh.sides), -NO_WORK * IDENTITY)
     pick, new = follow_promising(best.S[rows], E[rows], mesh, random_poses(mesh.dead, len(rows)))
     return best.raised(rows[pick], new, "random")
 
@@ -169,7 +169,7 @@ def _with_random_starts(best: Largest, near: Array) -> Largest:
 def _with_neighbours(best: Largest, states: KnownStates) -> Largest:
     """The best states after restarts from those of near loads that are not of the same smooth branch."""
     distance = np.linalg.norm(disc(best.S)[:, None] - disc(states.S)[None], axis=2)
-    own = best.mesh.strain(best.found.pose)
+    own = strain_of(best.found.pose, best.mesh.sides)
     distance[np.abs(own[:, None] - states.E[None]).max(axis=2) < WORK_NOISE] = np.inf
     source = np.argsort(distance, axis=1, kind="stable")[:, :NEIGHBOURS].ravel()
     rows = np.repeat(np.arange(len(best.S)), len(source) // len(best.S))
@@ -224,7 +224,7 @@ def states_beyond(found: Equilibrium, S: Array, mesh: LoadedCell) -> KnownStates
     here = found.pose.take(row)
     start = moved(here, equations.displacement(way, here))
     new = restart(S[row], equations, start, NEAR_MARGIN, mesh.options)
-    more = double_dot(S[row], mesh.strain(new.pose) - mesh.strain(here)) > GAIN
+    more = double_dot(S[row], strain_of(new.pose, mesh.sides) - strain_of(here, mesh.sides)) > GAIN
     return KnownStates.of(mesh, new.take(more), S[row[more]])
 
 

@@ -17,10 +17,10 @@ import shapely
 
 from rve.common import Array, Flags, Index, InputError
 from rve.equilibrium.interior_point import DirectOptions
-from rve.geometry.cell import Cell
+from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.pose import start_pose
 from rve.geometry.weave import WEAVES
-from rve.solve import reference_sides, weave_sides
+from rve.solve import reference_sides
 from rve.strained.placed import axes_of_weave, neighbours, reference_shares, shares
 
 if TYPE_CHECKING:

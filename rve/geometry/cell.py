@@ -112,3 +112,15 @@ class Cell:
     def ring_mass(self) -> float:
         """Mass of one ring in kg."""
         return self.density * ring_volume(self.r1, self.r2)
+
+
+def weave_sides(cell: Cell, sides_mm: tuple[float, float]) -> tuple[float, float]:
+    """Sides in r1, along the weave's axes, of the whole cell of `cell.weave`, for reference sides b_x, b_y in mm."""
+    (b_x, b_y), (nx, ny) = sides_mm, cell.weave.repeat
+    first, second = (b_y, b_x) if cell.grain == "x" else (b_x, b_y)
+    return first * nx / cell.r1, second * ny / cell.r1
+
+
+def weave_axes(cell: Cell) -> slice:
+    """Picks the components of a triple in the order of the weave's axes, and back."""
+    return slice(None, None, -1 if cell.grain == "x" else 1)

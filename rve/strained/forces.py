@@ -59,8 +59,8 @@ def cell_forces(s: Array, cell: Cell, options: DirectOptions | None = None) -> C
     """
     alpha, beta, size = directions(s[None])
     states = locked_block(alpha, beta, replace(cell, grain="y"), options or DirectOptions())
-    pose, con, weave, status = states.pose, states.contacts, states.cell.weave, str(states.found.status[0])
-    force = states.lam[con.present]
+    pose, con, weave, status = states.pose, states.found.contacts, states.cell.weave, str(states.found.status[0])
+    force = states.found.lam[con.present]
     works = (force > 1e-9) & (status == "converged")
     minima = con.minima.take(works)
     a, b, i, j = weave.pairs[minima.pair].T
@@ -97,7 +97,7 @@ def largest_forces(s: Array, cell: Cell, options: DirectOptions | None = None, s
     rounded[:, 1] = np.maximum(rounded[:, 1], 0.5 * step)
     keys, back = np.unique(rounded, axis=0, return_inverse=True)
     states = locked_states(keys[:, 0], keys[:, 1], replace(cell, grain="y"), options or DirectOptions())
-    per_pair, pairs = states.lam.max(axis=2), states.cell.weave.pairs[:, :2]
+    per_pair, pairs = states.found.lam.max(axis=2), states.cell.weave.pairs[:, :2]
     mine = [per_pair[:, (pairs == ring).any(axis=1)].max(axis=1) for ring in range(cell.weave.classes)]
     unit = np.where((states.found.status == "converged")[:, None], np.stack(mine, axis=1), np.nan)
     good = np.flatnonzero(np.isfinite(unit).all(axis=1))

@@ -24,12 +24,12 @@ from rve.common import Array, Flags, NotConverged, Rows, part_of
 from rve.common.tensor import WEIGHT, eigenvalues
 from rve.equilibrium.interior_point import DirectOptions, follow
 from rve.equilibrium.system import Equations, add_lattice_curvature
-from rve.geometry.cell import Cell
+from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.circles import cross, dot, tangent_frame
 from rve.geometry.contacts import find_contacts
 from rve.geometry.kinematics import lattice_strain
 from rve.geometry.pose import Pose, mirrored
-from rve.solve import locked_block, reference_sides, weave_sides
+from rve.solve import locked_block, reference_sides
 from rve.strained.placed import shares
 
 _BLOCK, _MERGE = 1024, 1e-6

@@ -16,11 +16,11 @@ from rve.equilibrium.interior_point import DirectOptions, unit_loads
 from rve.equilibrium.largest_work import in_cell, unstable_motions
 from rve.equilibrium.limits import balanced
 from rve.equilibrium.system import Equations
-from rve.geometry.cell import Cell
+from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.contacts import unlisted_gap
 from rve.geometry.pose import moved, start_pose, strain_of, tiled
 from rve.geometry.weave import SIX_IN_ONE, WEAVES, supercell
-from rve.solve import reference_sides, solve_table, weave_sides
+from rve.solve import reference_sides, solve_table
 from rve.support_function import support
 
 LOADS = np.array([[0.9, 0.05, 0.1], [0.6, 0.2, 0.4], [0.2, -0.1, 0.8]])

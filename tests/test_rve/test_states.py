@@ -28,8 +28,8 @@ def test_states_are_those_of_the_rows(table):
     """The forces of every state balance its load, and their virial is the line load: two ways to one number."""
     states, good = table.states, np.flatnonzero(table.converged)
     assert states.unique.tolist() == table.unique.tolist() == [True, True, True, False]
-    part, equations = states.take(good), Equations.of(states.cell.weave, states.cell.wire)
-    system = equations.assemble(part.pose, part.contacts, part.lam, part.s)
+    part, s = states.found.take(good), states.s[good]
+    system = Equations.of(states.cell.weave, states.cell.wire).assemble(part.pose, part.contacts, part.lam, s)
     assert system.weighted_residual.max() < 1e-9
     np.testing.assert_allclose(part.pose.a1 * 5.0, table.x2_mm[good], atol=1e-12)
     np.testing.assert_allclose(part.contacts.min_gap * 5.0, table.quality.min_gap_mm[good], atol=1e-15)
@@ -61,9 +61,10 @@ def test_blocks_with_more_pairs_join_those_with_fewer(monkeypatch):
     monkeypatch.setattr("rve.solve.BLOCK", 1)
     loads = np.array([0.0, 10.0]), np.array([45.0, 80.0])
     states = solve_table(Cell(weave=forgetful), loads).states
-    assert len(states.cell.weave.pairs) == 161 == states.lam.shape[1]
+    assert len(states.cell.weave.pairs) == 161 == states.found.lam.shape[1]
     equations = Equations.of(states.cell.weave, states.cell.wire)
-    assert equations.assemble(states.pose, states.contacts, states.lam, states.s).weighted_residual.max() < 1e-9
+    system = equations.assemble(states.pose, states.found.contacts, states.found.lam, states.s)
+    assert system.weighted_residual.max() < 1e-9
     plain = solve_table(Cell(), loads)
     np.testing.assert_allclose(states.pose.lattice, plain.states.pose.lattice, atol=1e-9)
     rings = with_rings(solve_table(Cell(weave=forgetful), loads), Cell(weave=forgetful)).compliance

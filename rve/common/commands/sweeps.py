@@ -13,10 +13,9 @@ import signal
 import sys
 import threading
 from collections import Counter
-from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, redirect_stderr, redirect_stdout
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from importlib import import_module
 from multiprocessing import active_children, get_context, parent_process
@@ -26,7 +25,7 @@ from typing import Any
 import click
 
 from rve.common.commands.command_line import answer, options, say
-from rve.common.errors import InputError, NotConverged, noted_if_stopped, require
+from rve.common.errors import InputError, noted_if_stopped, require
 from rve.common.files import Cache, checksum, make_folder, versions, write_text
 from rve.common.progress import tell
 from rve.common.texts import csv_text, read_json_object, recorded_reads
@@ -36,6 +35,7 @@ MARKS = ".sweep"
 RETRIES = 3
 """How often an item is begun again whose worker was lost."""
 CONNECT_S = 10.0
+LOST = "its worker was lost, perhaps for lack of memory: the same sweep with fewer workers goes on from here"
 
 
 @dataclass(frozen=True)
@@ -76,66 +76,75 @@ def run_item(item: SweepItem) -> Ended:
     return Ended(code or 0, "", read | {str(folder / name): checksum(folder / name) for name in names})
 
 
-def sweep(
-    items: Sequence[SweepItem],
-    out: Path,
-    *,
-    jobs: int = 1,
-    cluster: str | None = None,
-    done: Callable[[str], None] = lambda name: None,
-) -> list[Ended]:
-    """How each item ended, in their order; `done` is told the name of each as it ends.
+def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1, cluster: str | None = None) -> list[Ended]:
+    """How each item ended, in their order.
 
     jobs: processes on this machine; cluster: address of a Dask scheduler, whose workers see the folder `out` under the
-    same name. InputError if nothing answers there, or two items have one name. NotConverged if workers or scheduler
-    are lost for good. However it ends, what is finished is kept.
+    same name. InputError if nothing answers there, or two items have one name. However it ends, what is finished is
+    kept.
     """
-    (name, count), *_ = Counter(item.name for item in items).most_common(1)
-    if count > 1:
-        raise InputError(f"{name}: {count} items of the sweep are called so, and each needs files of its own")
+    for name, count in Counter(item.name for item in items).items():
+        if count > 1:
+            raise InputError(f"{name}: {count} items of the sweep are called so, and each needs files of its own")
     cache, ended = Cache(make_folder(out) / MARKS), dict[str, Ended]()
 
     def end(item: SweepItem, how: Ended) -> None:
         ended[item.name] = how
         tell(f"sweep, {len(ended)} of {len(items)} done", len(ended) / len(items))
-        done(item.name)
 
     for item in items:
         if (found := cache.get(item.question)) is not None:
             end(item, Ended(found["code"], ""))
     left = [item for item in items if item.name not in ended]
-    run = _on_cluster(left, cluster) if cluster is not None else _here(left, jobs)
     kept = f"what is finished is kept in {out}, and the same command goes on from there"
-    try:
-        with noted_if_stopped(kept), closing(run):
-            for item, how in run:
-                if not how.message and not item.record.exists():  # written to another machine's disk
-                    where = f"{item.record} is not there"
-                    how = Ended(1, f"{where}; workers must see {item.record.parent} under the same name")
-                if not how.message:
-                    cache.put(item.question, {"code": how.code}, how.files)
-                end(item, how)
-    except BrokenProcessPool as error:
-        lost = "a worker process was ended from outside, perhaps for lack of memory; take fewer --jobs"
-        raise NotConverged(f"{lost}; {kept}") from error
-    except ConnectionError as error:
-        raise NotConverged(f"{error}; {kept}") from error
+    with noted_if_stopped(kept), closing(_run(left, jobs, cluster)) as run:
+        for item, how in run:
+            if not how.message and not item.record.exists():  # written to another machine's disk
+                where = f"{item.record} is not there"
+                how = Ended(1, f"{where}; workers must see {item.record.parent} under the same name")
+            if not how.message:
+                cache.put(item.question, {"code": how.code}, how.files)
+            end(item, how)
     return [ended[item.name] for item in items]
 
 
-def _here(items: Sequence[SweepItem], jobs: int) -> Generator[tuple[SweepItem, Ended]]:
-    """Items in this process, or in others that end when the generator is closed, and when this process ends."""
-    if jobs == 1:
+def _run(items: Sequence[SweepItem], jobs: int, cluster: str | None) -> Generator[tuple[SweepItem, Ended]]:
+    """Items as they end: in this process, in others or on a cluster."""
+    if cluster is None and jobs == 1:
         for item in items:
             yield item, run_item(item)
         return
+    with _processes(jobs) if cluster is None else _cluster(cluster) as workers:
+        futures = {workers.submit(run_item, item): item for item in items}
+        for future in as_completed(futures):
+            try:
+                how = future.result()
+            except Exception as error:
+                how = Ended(1, f"{LOST} ({' '.join(str(error).split()) or type(error).__name__})")
+            yield futures[future], how
+
+
+@contextmanager
+def _cluster(address: str) -> Iterator[Executor]:
+    """Workers of a Dask scheduler; InputError if none answers."""
+    from distributed import Client
+
+    try:
+        client = Client(address, timeout=CONNECT_S)
+    except (OSError, ValueError) as error:
+        raise InputError(f"--cluster = {address}: no Dask scheduler answers there: {error}") from error
+    with client:
+        yield client.get_executor(pure=False, retries=RETRIES)
+
+
+@contextmanager
+def _processes(jobs: int) -> Iterator[Executor]:
+    """Worker processes that end with the block, at once where it is left early, and when this process ends."""
     before = active_children()
     pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_end_with_parent)
     try:
-        futures = {pool.submit(run_item, item): item for item in items}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
-    except (Exception, KeyboardInterrupt, GeneratorExit):
+        yield pool
+    except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
         for child in set(active_children()) - set(before):
             child.terminate()
@@ -183,11 +192,14 @@ def _on_cluster(items: Sequence[SweepItem], address: str) -> Generator[tuple[Swe
             yield asked[future.key], future.result() if raised is None else Ended(1, lost)
 
 
-def absolute(words: Sequence[str]) -> list[str]:
-    """Options with the paths of those files that exist made absolute: `--law law.json` and `--law=law.json`."""
+def further_options(words: Sequence[str], given: Sequence[str] = ("--out",)) -> list[str]:
+    """Options for every item with the paths of files that exist made absolute, as in `--law law.json` or
+    `--law=law.json`; InputError for those that are `given` by the sweep."""
     found = []
     for word in words:
         option, sign, path = word.rpartition("=")
+        if word.partition("=")[0] in given:
+            raise InputError(f"{word.partition('=')[0]}: is given by the sweep")
         found.append(f"{option}{sign}{Path(path).resolve()}" if path and Path(path).exists() else word)
     return found
 
