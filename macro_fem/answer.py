@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from homogenize import MembraneLaw, default_law, load_law
 from macro_fem.output.forces import support_rows
 from macro_fem.output.pictures import Pictures
+from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.solvers.status import Status
 from rve.common import as_html, check_out_job, job, require
 
@@ -18,6 +20,17 @@ if TYPE_CHECKING:
 
 RECORD = "summary.json"
 """The file that stands for the job; it lists the others by their checksums."""
+
+
+def read_job(
+    scene_path: Path, law_path: Path | None, out: Path, record: str = RECORD
+) -> tuple[Scene, MembraneLaw, list[Path | None]]:
+    """The scene and the law in files, by default that of `default_law`, and all files that are read; InputError for
+    what cannot be read, and for a folder `out` that cannot be written into."""
+    scene = load_scene(scene_path)
+    inputs = [scene_path, law_path, scene.mesh_file]
+    check_out_job(out, record, inputs=inputs)
+    return scene, default_law() if law_path is None else load_law(law_path), inputs
 
 
 class Solution(ABC):

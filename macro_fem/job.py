@@ -12,11 +12,10 @@ from homogenize import (
     MembraneLaw,
     default_law,
     interval_or_law,
-    load_law,
     read_law_interval,
     with_material,
 )
-from macro_fem.answer import RECORD, Solution
+from macro_fem.answer import RECORD, Solution, read_job
 from macro_fem.bounds.adapt import admissible_problem
 from macro_fem.bounds.adapt import levels as refined_levels
 from macro_fem.curtain import solve_problem
@@ -187,9 +186,7 @@ def run_rings(
     """Solve the scene in a file ring by ring, write its files into `out`; the summary. how: space and start of
     `EveryRing`. InputError, and nothing written, for what cannot be read, or makes no sense for rings."""
     Pictures(picture, html=html, stem="rings").check()
-    scene, inputs = load_scene(scene_path), [scene_path, law_path]
-    check_out_job(out, RECORD, inputs=inputs)
-    law = default_law() if law_path is None else load_law(law_path)
+    scene, law, inputs = read_job(scene_path, law_path, out)
     return solve(scene, EveryRing(law, **how)).save(out, picture=picture, html=html, inputs=inputs)
 
 

@@ -13,7 +13,7 @@ from macro_fem.fem.hung_law import HungLaw
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.loads import nodal_forces, wind_per_area
 from macro_fem.scene.meshing.mesh import CurtainMesh
-from macro_fem.scene.obstacles import Obstacle, PlacedObstacle, is_flat, with_rounding
+from macro_fem.scene.obstacles import Body, Box, PlacedObstacle
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import Supports, build_supports, pin_sliding, told
 from macro_fem.scene.tables import Wind
@@ -109,18 +109,19 @@ def _with_obstacles(problem: CurtainProblem) -> CurtainProblem:
                 "more cells"
             )
         _check_outside(one, problem)
-    flat = [tangent_walls(one, fem, fem.reference) for one in obstacles if is_flat(one.obstacle)]
-    bodies = tuple(one for one in obstacles if not is_flat(one.obstacle))
+    bodies = tuple(one for one in obstacles if isinstance(one.obstacle, Body))
+    flat = [tangent_walls(one, fem, fem.reference) for one in obstacles if not isinstance(one.obstacle, Body)]
     return replace(problem, walls=Walls.joined([problem.walls, *flat]), bodies=bodies)
 
 
 def placed_obstacles(problem: CurtainProblem) -> list[PlacedObstacle]:
-    """The obstacles of the scene of a problem, as its mesh meets them."""
-    cell = float(np.sqrt(2.0 * problem.disc.cell_area.mean()))
-    return [
-        PlacedObstacle(number, with_rounding(item, cell), problem.factor, problem.fem.d)
-        for number, item in enumerate(problem.scene.obstacle)
-    ]
+    """The obstacles of the scene of a problem, as its mesh meets them: the edges of boxes are round."""
+    cell, placed = float(np.sqrt(2.0 * problem.disc.cell_area.mean())), []
+    for number, item in enumerate(problem.scene.obstacle):
+        if isinstance(item, Box) and item.rounding is None:
+            item = replace(item, rounding=min(cell, item.breadth))
+        placed.append(PlacedObstacle(number, item, problem.factor, problem.fem.d))
+    return placed
 
 
 def _check_outside(one: PlacedObstacle, problem: CurtainProblem) -> None:
@@ -141,17 +142,14 @@ def _check_outside(one: PlacedObstacle, problem: CurtainProblem) -> None:
     )
 
 
-def meeting_points(obstacle: Obstacle, disc: Discretization) -> Points:
-    """The points of a mesh that stay outside of an obstacle: those whose hull holds the mesh for a half-space, else
-    nodes, with middles of sides and cells where the obstacle clears cells."""
-    if is_flat(obstacle):
-        return disc.hull
-    return disc.meeting if getattr(obstacle, "clear", "nodes") == "cells" else disc.at_nodes
-
-
 def tangent_walls(body: PlacedObstacle, fem: SupportedFem, x: Array) -> Walls:
-    """The half-spaces that touch a body where it is closest to the points that meet it and can move, for nodes at x."""
-    at = meeting_points(body.obstacle, fem.disc)
+    """The half-spaces that touch an obstacle where it is closest to the points that stay outside of it and can move,
+    for nodes at x. Those of a half-space have a hull that holds the mesh; of a body they are the nodes, with middles of
+    sides and cells where it clears cells.
+    """
+    at, item = fem.disc.hull, body.obstacle
+    if isinstance(item, Body):
+        at = fem.disc.meeting if item.clear == "cells" else fem.disc.at_nodes
     at = at.take(np.flatnonzero((np.not_equal(at.share, 0.0) & ~np.all(fem.held, axis=1)[at.node]).any(axis=1)))
     return touching_walls(body, at, at.places(x))
 

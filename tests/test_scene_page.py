@@ -10,7 +10,7 @@ import pytest
 
 import macro_fem
 import macro_fem.scene.schema  # whose import makes all kinds known
-from macro_fem.scene.moving import Thrown
+from macro_fem.scene.moving import Ball
 from macro_fem.scene.obstacles import Obstacle
 from macro_fem.scene.shapes import Shape
 from macro_fem.scene.sites import Support
@@ -18,7 +18,7 @@ from macro_fem.scene.tables import LiveLoad
 from rve.common.typed import typed, types_of
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "scenes.md"
-NOUNS = [cls for base in (Shape, Support, LiveLoad, Obstacle, Thrown) for cls in base.kinds.values()]
+NOUNS = [cls for base in (Shape, Support, LiveLoad, Obstacle, Ball) for cls in base.kinds.values()]
 NOUNS += [macro_fem.Mesh, macro_fem.Load, macro_fem.Solver, macro_fem.Start, macro_fem.Motion]
 RANGE = re.compile(r"(above )?(-?[\d.e-]+),? to (-?[\d.e]+)$")
 HEADERS = ("key", "noun", "---")

@@ -15,7 +15,8 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from homogenize import MembraneLaw, default_law, load_law
+from homogenize import MembraneLaw
+from macro_fem.answer import RECORD, read_job
 from macro_fem.motion.curtain import MovingCurtain
 from macro_fem.motion.pace import COLUMNS, F, Mover, Pace, Run
 from macro_fem.motion.rings import MovingRings
@@ -23,14 +24,13 @@ from macro_fem.motion.step import Account, Moment
 from macro_fem.output.files import collection
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.every_ring import EveryRing
-from macro_fem.scene.schema import load_scene
 from rve.common import Array, InputError, csv_text, json_text, tell
 from rve.common.drawing.page import write_moments
 from rve.common.drawing.space import save_animation
-from rve.common.files import atomic_path, check_out_job, job, versions, write_text
+from rve.common.files import atomic_path, job, versions, write_text
 from rve.common.meshes import write_mesh_file
 
-RECORD, KEPT = "summary.json", "motion.npz"
+KEPT = "motion.npz"
 MOST_SHOWN, PANELS, IMAGES = 200, 4, 48
 """Moments at most in the series of VTUs, in motion.png, and in motion.gif and motion.html."""
 IMPULSES = (
@@ -57,11 +57,9 @@ def run_motion(
     each_ring: space and start of `EveryRing` for a scene that is solved ring by ring. InputError in one sentence, and
     nothing written, for what cannot be read or begin.
     """
-    scene, wanted = load_scene(scene_path), Pictures(picture, animation, html, stem="motion")
+    scene, law, inputs = read_job(scene_path, law_path, out)
+    wanted = Pictures(picture, animation, html, stem="motion")
     wanted.check(None if each_ring else scene)
-    law = default_law() if law_path is None else load_law(law_path)
-    inputs = [scene_path, law_path, scene.mesh_file]
-    check_out_job(out, RECORD, inputs=inputs)
     if not each_ring:
         return _run(MovingCurtain(scene, law), named(law), out, inputs, wanted, goes_on)
     who = EveryRing(law, **each_ring)

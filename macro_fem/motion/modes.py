@@ -24,19 +24,18 @@ import skfem.models.poisson
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from homogenize import default_law, load_law
+from macro_fem.answer import read_job
 from macro_fem.curtain import solve_scene
 from macro_fem.elastic_forces import forces_by, with_forces
 from macro_fem.fem.assembly import SparsityPattern, stiffness
 from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
 from macro_fem.fem.discretization import ELEMENTS
 from macro_fem.motion.contact import pushed_points
-from macro_fem.motion.stage import mesh_masses, nodal_masses, scene_at
+from macro_fem.motion.stage import masses_of, mesh_masses, scene_at
 from macro_fem.output.files import corner_positions
-from macro_fem.scene.schema import load_scene
 from macro_fem.scene.supports import build_supports
 from macro_fem.solution import CurtainSolution
-from rve.common import Array, InputError, NotConverged, check_out_job, job, json_text, versions, write_text
+from rve.common import Array, InputError, NotConverged, job, json_text, versions, write_text
 from rve.common.drawing.plane import Scale
 from rve.common.drawing.space import THREE_QUARTERS, add, check_render, look, new_plotter, save_picture, surface
 from rve.common.meshes import write_mesh_file
@@ -165,7 +164,7 @@ def _distinct(frequency: Array, is_smooth: np.ndarray, kept: np.ndarray, exact: 
 def _pendulum(solution: CurtainSolution) -> float:
     """The scale of squared frequencies, 1/s2; InputError for a curtain without mass or line loads."""
     problem, S = solution.problem, solution.S
-    mass, weight = nodal_masses(problem).sum(), problem.disc.weight
+    mass, weight = masses_of(problem).sum(), problem.disc.weight
     if not mesh_masses(problem).any():
         raise InputError(f"{problem.scene.source}: [curtain] areal_mass = 0: a curtain without mass has no modes")
     carried = float(weight @ (S[:, 0] + S[:, 2])) / problem.mesh.size
@@ -205,7 +204,7 @@ def _of_one_component(solution: CurtainSolution) -> tuple[sparse.spmatrix, ...]:
     problem, disc, S = solution.problem, solution.problem.disc, solution.S
     A = S[:, SQUARE][:, None, :, None, :]
     pattern = SparsityPattern.of(disc, 1, np.ones(disc.n_nodes, bool))
-    lumped, mesh = sparse.diags(nodal_masses(problem)), sparse.diags(mesh_masses(problem))
+    lumped, mesh = sparse.diags(masses_of(problem)), sparse.diags(mesh_masses(problem))
     unit = skfem.models.poisson.mass.assemble(skfem.CellBasis(problem.mesh.mesh, ELEMENTS[disc.element][0]()))
     per_area = mesh_masses(problem).sum() / disc.cell_area.sum()
     return pattern.full(stiffness(disc, pattern, A)), lumped - mesh + per_area * unit, lumped
@@ -244,10 +243,7 @@ def run_modes(
     """
     if picture:
         check_render("modes.png", "ask for --no-picture")
-    scene = load_scene(scene_path)
-    inputs = [scene_path, law_path, scene.mesh_file]
-    check_out_job(out, RECORD, inputs=inputs)
-    law = default_law() if law_path is None else load_law(law_path)
+    scene, law, inputs = read_job(scene_path, law_path, out, RECORD)
     found = with_forces(solve_scene(scene if scene.motion is None else scene_at(scene, 0.0), law))
     modes, problem = find_modes(found, number), found.problem
     summary = modes.summary | {"forces_by": forces_by(found), "cells": problem.disc.n_cells, "law": problem.law.name}

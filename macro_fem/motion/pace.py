@@ -13,7 +13,7 @@ import numpy as np
 
 from macro_fem.motion.stage import let_go, scene_at
 from macro_fem.motion.step import Account, Moment, predicted
-from macro_fem.scene.moving import Ball, Thrown
+from macro_fem.scene.moving import Ball
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Timed
 from rve.common import Array, InputError, tell
@@ -240,7 +240,7 @@ class Mover(ABC, Generic[F, A]):
         """The frame after a step h; the same one later if it is at rest and nothing else acts at the end."""
         t = frame.moment.t
         has_moved = frame.pace.most > 0.0 or frame.moment.v.any()
-        if not has_moved and self.motion.start == "hung" and not self.scene.of(Thrown):
+        if not has_moved and self.motion.start == "hung" and not self.scene.of(Ball):
             old, new = ((scene_at(self.scene, at).items, let_go(self.scene, at)) for at in (t, t + h))
             if old == new:
                 return replace(frame, moment=replace(frame.moment, t=t + h), iterations=0)

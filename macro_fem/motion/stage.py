@@ -10,11 +10,11 @@ from macro_fem.drag import senses, wind_density, with_wind
 from macro_fem.fem.assembly import load_vector
 from macro_fem.motion.step import Forces, Moment
 from macro_fem.problem import CurtainProblem
-from macro_fem.scene.loads import BREEZE, PER_MM2, areal_mass, breeze, edge_shares, nodal_forces
-from macro_fem.scene.moving import Ball, Thrown, at_time
+from macro_fem.scene.loads import BREEZE, PER_MM2, areal_mass, bar_masses, breeze, nodal_forces
+from macro_fem.scene.moving import Ball, at_time
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.schema import Scene
-from macro_fem.scene.tables import Bar, Timed, Wind
+from macro_fem.scene.tables import Timed, Wind
 from macro_fem.solvers.cones import green_strain
 from rve.common import Array, InputError
 
@@ -26,7 +26,7 @@ def scene_at(scene: Scene, t: float) -> Scene:
     """The scene without its motion and bodies, as its histories say at the time t."""
     items = tuple(at_time(item, t) if isinstance(item, Timed) else item for item in scene.items)
     solver = replace(scene.solver, space=scene.solver.space or scene.in_space, bounds=False, adapt=0)
-    kept = tuple(item for item in items if not isinstance(item, Thrown))
+    kept = tuple(item for item in items if not isinstance(item, Ball))
     return replace(scene, items=kept, motion=None, solver=solver)
 
 
@@ -36,17 +36,8 @@ def let_go(scene: Scene, t: float) -> frozenset[int]:
     return frozenset(number for number, release in enumerate(times) if release < t * (1.0 - 1e-9))
 
 
-def nodal_masses(problem: CurtainProblem) -> Array:
-    """Masses (n_nodes,) of the mesh and of the bars in its edges, N s2/mm; InputError for P2."""
-    scene, disc, mesh, mass = problem.scene, problem.disc, problem.mesh, mesh_masses(problem)
-    for bar in scene.of(Bar):
-        shares = edge_shares(mesh, disc, bar.edge, f"{scene.source}: [load.bar] edge")
-        mass = mass + TONNE * bar.mass * shares / shares.sum()
-    return np.asarray(mass)
-
-
 def mesh_masses(problem: CurtainProblem) -> Array:
-    """Masses (n_nodes,) of the mesh alone, N s2/mm; InputError as for `nodal_masses`."""
+    """Masses (n_nodes,) of the mesh alone, N s2/mm; InputError for P2."""
     scene, disc = problem.scene, problem.disc
     if disc.element != "P1":
         raise InputError(f"{scene.source}: [mesh] element = {disc.element!r}: motion needs P1")
@@ -54,9 +45,10 @@ def mesh_masses(problem: CurtainProblem) -> Array:
     return np.asarray(per_area * load_vector(disc, np.array([1.0]))[:, 0])
 
 
-def masses_of(problem: CurtainProblem, balls: tuple[Ball, ...]) -> Array:
-    """Masses (n,) of nodes and bodies, N s2/mm."""
-    return np.append(nodal_masses(problem), [TONNE * ball.mass for ball in balls])
+def masses_of(problem: CurtainProblem, balls: tuple[Ball, ...] = ()) -> Array:
+    """Masses (n,) of nodes, with the bars in edges, and of bodies, N s2/mm; InputError for P2."""
+    own = mesh_masses(problem) + TONNE * bar_masses(problem.scene, problem.mesh, problem.disc)
+    return np.append(own, [TONNE * ball.mass for ball in balls])
 
 
 def weights_of(problem: CurtainProblem, balls: tuple[Ball, ...]) -> Array:

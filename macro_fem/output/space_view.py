@@ -14,8 +14,7 @@ from macro_fem.output.files import corner_positions
 from macro_fem.output.forces import FORCES
 from macro_fem.problem import placed_obstacles
 from macro_fem.scene.obstacles import Box, Cylinder, Floor, PlacedObstacle, Sphere, Wall, unit
-from macro_fem.scene.sites import edge_line
-from macro_fem.scene.support_kinds import Hooks, Track
+from macro_fem.scene.sites import Hanging
 from macro_fem.scene.tables import in_3d
 from macro_fem.solution import CurtainSolution
 from rve.common import Array
@@ -183,17 +182,14 @@ def _add_supports(plotter: Plotter, solution: CurtainSolution, size: float) -> N
     """Held edges and tracks as lines, held points, hooks and runners as balls."""
     problem = solution.problem
     mesh, corners, x = problem.mesh.mesh, padded(corner_positions(solution)), padded(solution.x)
-    edges, held_at = [np.zeros((0, 2, 3))], {name: [np.zeros((0, 3))] for name in ("runners", "hooks", "held points")}
+    edges, held_at = [np.zeros((0, 2, 3))], dict[str, list[Array]]()
     for item, held in zip(problem.scene.support, problem.supports.held, strict=True):
-        if isinstance(item, Track):
-            curve = item.curve(edge_line(problem.mesh, "top", "track"), "track")
-            line = space.lines(curve.at(np.linspace(0.0, curve.length, 200))[None])
-            space.add(plotter, "track", line, TRACK, line_width=7)
+        if held.track is not None:
+            space.add(plotter, held.name, space.lines(held.track[None]), TRACK, line_width=7)
         elif len(held.facets):
             edges.append(corners[mesh.facets[:, held.facets].T])
         if not len(held.facets):
-            name = "runners" if isinstance(item, Track) else "hooks" if isinstance(item, Hooks) else "held points"
-            held_at[name].append(x[held.nodes])
+            held_at.setdefault(f"{item.one}s" if isinstance(item, Hanging) else "held points", []).append(x[held.nodes])
     space.add(plotter, "held edge", space.lines(np.concatenate(edges)), HELD, line_width=7)
     for name, places in held_at.items():
         space.add(plotter, name, space.balls(np.concatenate(places), 0.006 * size), HELD)

@@ -17,9 +17,9 @@ from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.discretization import discretize
 from macro_fem.scene.checks import check_sizes
-from macro_fem.scene.loads import PER_MM2, areal_mass, breeze, edge_shares, nodal_forces, weight_per_area, wind_per_area
+from macro_fem.scene.loads import PER_MM2, areal_mass, bar_masses, breeze, nodal_forces, weight_per_area, wind_per_area
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.obstacles import is_flat
+from macro_fem.scene.obstacles import Body
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.sites import Sliding, edge_nodes
@@ -123,7 +123,7 @@ def ring_scene(scene: Scene, rings: Cell | MembraneLaw | None = None) -> RingSce
         raise InputError(f"{scene.source}: [motion]: is for rings over time, use macro_fem rings or solve_ring_motion")
     if any(wind.follows for wind in scene.of(Wind)):
         raise InputError(f"{scene.source}: follows = true of [load.wind]: is not for every ring")
-    round_ = [item.name for item in scene.obstacle if not is_flat(item)]
+    round_ = [item.name for item in scene.of(Body)]
     if round_:
         raise InputError(f"{scene.source}: [obstacle] {round_[0]}: rings stay out of floors and walls, of nothing else")
     check_sizes(scene, info.r1_mm)
@@ -200,14 +200,12 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
     at[ring[node], axis] = padded(mesh.X)[ring[node], axis] + way[node, axis]
     if not scene.in_space:
         held[:, 2] = held[:, 0] | held[:, 1]
-    where = f"{scene.source}: [load.bar] edge"
     bars = []
     mass = areal_mass(scene, info)[0] * PER_MM2 * mesh.area
-    for bar in scene.of(Bar):
-        shares = edge_shares(fem, disc, bar.edge, where)
-        np.add.at(mass, ring, bar.mass * shares / shares.sum())
-        line = ring[edge_nodes(fem, disc, bar.edge, where)]
-        bars += [line[np.sort(np.unique(line, return_index=True)[1])]] if bar.straight else []
+    np.add.at(mass, ring, bar_masses(scene, fem, disc))
+    for bar in (one for one in scene.of(Bar) if one.straight):
+        line = ring[edge_nodes(fem, disc, bar.edge, f"{scene.source}: [load.bar] edge")]
+        bars.append(line[np.sort(np.unique(line, return_index=True)[1])])
     groups: list[tuple[str, np.ndarray]] = []
     for one in supports.held:
         taken = np.concatenate([np.zeros(0, int), *(rings for _, rings in groups)])

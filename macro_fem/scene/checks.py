@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from macro_fem.scene.moving import Thrown, scaled
-from macro_fem.scene.obstacles import Body, is_flat
+from macro_fem.scene.moving import Ball, scaled
+from macro_fem.scene.obstacles import Body
 from macro_fem.scene.shapes import Disk, MeshFile, Rectangle
 from macro_fem.scene.sites import Hanging
 from macro_fem.scene.tables import NO_MOVE, Bar, LiveLoad, Timed, Wind, in_3d
@@ -43,7 +43,7 @@ def _contradictions(scene: Scene) -> Iterator[str]:
                 yield f"{item.where} move = {list(move)}: has no effect along {axis}, as held = {held!r}"
         if held == "z" and not scene.in_space:
             yield f"{item.where} held = 'z': holds nothing, as the scene lies in the plane"
-    is_shaped = any(wind.follows for wind in scene.of(Wind)) or not all(map(is_flat, scene.obstacle))
+    is_shaped = any(wind.follows for wind in scene.of(Wind)) or bool(scene.of(Body))
     if scene.start is not None and not is_shaped:
         yield "[start]: has no effect without bodies and following pressure"
     is_live = [isinstance(item, LiveLoad) and not isinstance(item, Bar) for item in scene.items]
@@ -60,7 +60,7 @@ def _over_time(scene: Scene) -> Iterator[str]:
         history, release = getattr(item, "history", ()), getattr(item, "release", None)
         if scene.motion is None and (history or release is not None):
             yield f"{item.where} {'history' if history else 'release'}: has no effect without [motion] duration"
-        if scene.motion is None and isinstance(item, Thrown):
+        if scene.motion is None and isinstance(item, Ball):
             yield f"{item.where}: moves over time; give [motion] duration, in s"
         for (before, _), (after, _) in pairwise(history):
             if after <= before:

@@ -71,9 +71,7 @@ def nodal_forces(
     Wind with a speed is as on the flat sheet square to it, and wind that follows is none of them: see `macro_fem.drag`.
     """
     dead = load_vector(disc, weight_per_area(scene, cell))
-    for bar in scene.of(Bar):
-        shares = edge_shares(mesh, disc, bar.edge, f"{scene.source}: [load.bar] edge")
-        dead += shares[:, None] / shares.sum() * bar.mass * scene.vector(scene.load.acceleration)
+    dead += bar_masses(scene, mesh, disc)[:, None] * scene.vector(scene.load.acceleration)
     live = np.zeros_like(dead)
     for edge in scene.of(EdgeLoad):
         shares = edge_shares(mesh, disc, edge.edge, f"{scene.source}: [load.edge] edge")
@@ -88,6 +86,15 @@ def nodal_forces(
             raise InputError(f"{scene.source}: [load.wind] {what}")
         live += 0.0 if wind.follows else load_vector(disc, wind_per_area(wind, scene, cell))
     return dead + factor * live
+
+
+def bar_masses(scene: Scene, mesh: CurtainMesh, disc: Discretization) -> Array:
+    """Masses (n_nodes,) of all bars at the nodes of their edges, kg."""
+    mass = np.zeros(disc.n_nodes)
+    for bar in scene.of(Bar):
+        shares = edge_shares(mesh, disc, bar.edge, f"{scene.source}: [load.bar] edge")
+        mass += bar.mass * shares / shares.sum()
+    return mass
 
 
 def edge_shares(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> Array:

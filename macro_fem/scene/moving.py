@@ -42,21 +42,14 @@ class Motion(Typed):
             self.refuse(f"step = {self.step:g}: is longer than the duration, {self.duration:g} s")
 
 
-class Thrown(Item):
-    """A body with mass, subject to gravity, that moves freely but for its pushes on the curtain."""
+@dataclass(frozen=True)
+class Ball(Item, kind="sphere"):
+    """A ball of `radius` mm and `mass` kg, with its weight, that begins at `at` with `velocity` mm/s and moves freely
+    but for its pushes on the curtain.
+    """
 
     kinds: ClassVar[dict[str, type[Any]]] = {}
     table = "body"
-
-    @property
-    def space_reason(self) -> str:
-        return f"kind = {self.kind!r} moves in space"
-
-
-@dataclass(frozen=True)
-class Ball(Thrown, kind="sphere"):
-    """A ball of `radius` mm and `mass` kg that begins at `at` with `velocity` mm/s."""
-
     radius: Length
     mass: Annotated[float, Meta(ge=0.0, le=1e9)]
     at: Point3
@@ -66,6 +59,10 @@ class Ball(Thrown, kind="sphere"):
     def check(self) -> None:
         if self.mass == 0.0:
             self.refuse("mass = 0: must be greater than 0")
+
+    @property
+    def space_reason(self) -> str:
+        return f"kind = {self.kind!r} moves in space"
 
 
 def scaled(item: Kind, share: float, keys: tuple[str, ...] = ("force", "move", "pressure", "drawn")) -> Kind:

@@ -6,7 +6,7 @@ place, the offset its support function, the largest normal . y of its points y.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -45,7 +45,7 @@ class Obstacle(Timed):
 
     @property
     def space_reason(self) -> str:
-        in_plane = is_flat(self) and not leaves_plane(getattr(self, "facing", NO_MOVE))
+        in_plane = not isinstance(self, Body) and not leaves_plane(getattr(self, "facing", NO_MOVE))
         return "" if in_plane else f"{self.name} is not a half-space of the plane"
 
     @property
@@ -63,7 +63,7 @@ class Obstacle(Timed):
 
 
 class Body(Obstacle):
-    """An obstacle that is no half-space: a round one, or a box."""
+    """An obstacle that is no half-space, with which the curtain is no convex problem: a round one, or a box."""
 
     clear: str
     radius: float
@@ -207,18 +207,6 @@ class Start(Typed):
     def places(self, X: Array) -> Array:
         """Places (n, 3) of material points X (n, 2)."""
         return np.asarray(np.array(self.origin) + X @ np.array([unit(self.x_axis), unit(self.y_axis)]))
-
-
-def with_rounding(obstacle: Obstacle, cell: float) -> Obstacle:
-    """The obstacle as a mesh with cells of this length (mm) meets it: a box has round edges."""
-    if isinstance(obstacle, Box) and obstacle.rounding is None:
-        return replace(obstacle, rounding=min(cell, obstacle.breadth))
-    return obstacle
-
-
-def is_flat(obstacle: Obstacle) -> bool:
-    """Whether an obstacle is a half-space, so that the curtain stays a convex problem."""
-    return isinstance(obstacle, Floor | Wall)
 
 
 @dataclass(frozen=True)

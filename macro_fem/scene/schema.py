@@ -12,7 +12,7 @@ import numpy as np
 from macro_fem.scene import support_kinds
 from macro_fem.scene.checks import check_scene
 from macro_fem.scene.meshing.mesh_files import read_outline
-from macro_fem.scene.moving import Motion, Thrown
+from macro_fem.scene.moving import Ball, Motion
 from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.shapes import Mesh, MeshFile, Rectangle, Shape
 from macro_fem.scene.sites import Support
@@ -23,7 +23,7 @@ from rve.common.materials import described
 Kind = TypeVar("Kind")
 PARTS: dict[str, type[Typed]] = {"mesh": Mesh, "load": Load, "solver": Solver, "start": Start, "motion": Motion}
 """Tables of a scene file that are one record."""
-LISTS: dict[str, type[Item]] = {"support": support_kinds.Support, "obstacle": Obstacle, "body": Thrown}
+LISTS: dict[str, type[Item]] = {"support": support_kinds.Support, "obstacle": Obstacle, "body": Ball}
 """Lists of a scene file whose entries say their `kind`."""
 
 

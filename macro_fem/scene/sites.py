@@ -64,7 +64,8 @@ class Held:
 
     `facets` (m,): the facets of the mesh that are held as a whole; none for corners, hooks, runners and points.
     `slide` (d,): the direction, along no axis, in which all nodes slide freely from their positions; None if they do
-    not. A direction along an axis is a component that is not in the mask.
+    not. A direction along an axis is a component that is not in the mask. `track` (m, 3): points of the curve on which
+    they hang, None without one.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Held:
     positions: Array
     facets: np.ndarray = field(default_factory=NONE.copy, repr=False)
     slide: Array | None = None
+    track: Array | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,8 @@ from macro_fem.scene.sites import Curve, Hanging, Held, Site, Support
 from macro_fem.scene.tables import LEAST_MM, NO_MOVE, Vector, Way, in_3d, leaves_plane
 from rve.common import Array, InputError
 
+DRAWN = 200
+"""Points of a track in pictures."""
 AGREES = 0.01
 """A fullness that is given besides a track of known length may differ from theirs by this part of it."""
 
@@ -215,11 +217,13 @@ class Track(Hanging, kind="track"):
         edge = sites.edge_line(site.mesh, "top", f"{where} needs edge")
         curve, length = self.curve(edge, where), edge.arc[-1]
         if self.has_hooks:
-            nodes = self._hooks(site)
+            nodes, facets = self._hooks(site), sites.NONE
             places = self.places(curve, np.linspace(0.0, length, len(nodes)), length)
-            return Held("track", nodes, np.ones(places.shape, bool), places)
-        nodes, places = sites.placed_along(site, edge.nodes, self.places(curve, edge.arc, length))
-        return Held("track", nodes, np.ones(places.shape, bool), places, site.mesh.edges["top"])
+        else:
+            nodes, places = sites.placed_along(site, edge.nodes, self.places(curve, edge.arc, length))
+            facets = site.mesh.edges["top"]
+        drawn = curve.at(np.linspace(0.0, curve.length, DRAWN))
+        return Held("track", nodes, np.ones(places.shape, bool), places, facets, track=drawn)
 
     def places(self, curve: Curve, s: Array, edge_length: float) -> Array:
         """Places (n, 3) on the track of material points at the distances s (n,) along the top edge, mm."""
