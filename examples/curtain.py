@@ -26,7 +26,7 @@ import numpy as np
 
 from rve.common.commands.command_line import Command, answer, no_picture, say, say_next
 from rve.common.errors import noted_if_stopped, require
-from rve.common.files import beside, check_out_job, job, write_text
+from rve.common.files import beside, job, write_text
 
 ACCURACY = click.FloatRange(min=1e-4, max=1.0)
 FOLDER = click.Path(path_type=Path, file_okay=False)
@@ -132,7 +132,6 @@ def run(out: Path, setting: Setting = DEFAULT) -> dict[str, object]:
     All files appear in `out` together, at the end.
     """
     require("matplotlib", "plots", "examples/curtain.py")
-    check_out_job(out, "answer.json")
     with noted_if_stopped(f"what was in {out} before is unchanged"), job(out, "answer.json") as folder:
         law = fit_law(make_table(folder, setting.spacing), folder)
         say("3 curtain")

@@ -17,7 +17,7 @@ from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.stored import StoredLaw
 from homogenize.query.strain import locked_strain
 from rve.common import Array, job, json_text, tell, write_text
-from rve.common.drawing.plane import Scale, new_axes, new_figure, rounded_up, save_figure, shade
+from rve.common.drawing.plane import Scale, new_axes, new_figure, rounded_up, save_figure, viridis
 from rve.common.tensor import trace
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def plot_strains(law: MembraneLaw, table: StrainTable) -> Any:
     alphas = np.unique(table.alpha_deg[table.converged])
     beta = np.linspace(1.0, 89.0, 89)
     for number, alpha in enumerate(alphas):
-        colour = shade(number / max(len(alphas) - 1, 1))
+        colour = viridis()(number / max(len(alphas) - 1, 1))
         found = locked_strain(law, np.full(len(beta), alpha), beta)
         E = np.where((found.status == "converged")[:, None], found.E, np.nan)
         at = table.converged & (table.alpha_deg == alpha)

@@ -12,7 +12,7 @@ from macro_fem.output.forces import support_rows
 from macro_fem.output.pictures import Pictures
 from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.solvers.status import Status
-from rve.common import as_html, check_out_job, job, require
+from rve.common import as_html, job, require
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,7 +59,6 @@ class Solution(ABC):
         All files appear together, and what they replace is gone. InputError where they cannot be written, or would
         overwrite `inputs`, or if what a picture needs is missing.
         """
-        check_out_job(folder, RECORD, inputs=inputs)
         with job(folder, RECORD, inputs) as staged:
             return self._write(staged, Pictures(picture, animation, html))
 

@@ -9,7 +9,7 @@ import numpy as np
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.strength import MAKE_AGAIN, Strength
 from rve.common import Array, InputError
-from rve.common.drawing.plane import BLUE, VERMILION, new_axes, new_figure, shade
+from rve.common.drawing.plane import BLUE, VERMILION, new_axes, new_figure, viridis
 from rve.common.tensor import from_disc
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def plot_sections(law: MembraneLaw, shears: tuple[float, ...] = SHEARS, ax: Any 
     D = np.linspace(-across - MARGIN, along + MARGIN, 400)
     for number, shear in enumerate(shears):
         E = locking_surface(law, D, np.full_like(D, shear))
-        ax.plot(E[:, 0], E[:, 2], color=shade(number / max(len(shears) - 1, 1)), label=f"E12 = {shear:.3f}")
+        ax.plot(E[:, 0], E[:, 2], color=viridis()(number / max(len(shears) - 1, 1)), label=f"E12 = {shear:.3f}")
     ax.set(xlabel="E11", ylabel="E22", title="Admissible strains lie below and left of the curves")
     ax.grid(alpha=0.3)
     ax.legend(fontsize=10)

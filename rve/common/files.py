@@ -173,16 +173,13 @@ def job(folder: AnyPath, record: str, inputs: Inputs = (), *, clears: bool = Tru
     """A hidden folder for the files of a result; they take their places in `folder` when the block ends well.
 
     `folder` is made if need be. `record` is the name of the JSON file that stands for the result; the block must write
-    it. `clears`: files of the old result that the new one lacks are removed. Raises InputError when `folder` cannot be
-    made or written, or a file would overwrite one of `inputs`.
+    it. `clears`: files of the old result that the new one lacks are removed. InputError as of `check_out_job`, or when
+    a new file would overwrite one of `inputs`.
     """
     out, inputs = Path(folder), list(inputs)
-    made = [one for one in (out, *out.parents) if not _exists(one, "--out")]
-    make_folder(out)
-    try:
-        staged = Path(tempfile.mkdtemp(prefix=HIDDEN, dir=out))
-    except OSError as error:
-        raise InputError(f"--out = {out}: cannot be written: {error.strerror}") from error
+    check_out_job(out, record, inputs)
+    made = [one for one in (out, *out.parents) if not one.exists()]
+    staged = Path(tempfile.mkdtemp(prefix=HIDDEN, dir=make_folder(out)))
     try:
         yield staged
         _publish(staged, out, record, inputs, clears=clears)
@@ -254,21 +251,19 @@ class Cache:
             return None
         try:
             with Path(self.folder, _file_name(question)).open("rb") as file:
-                found: dict[str, Any] = json.loads(file.read(MOST_JSON_BYTES))
-            known = found.pop("sha256")
-            is_whole = known == _digest(found) and _digest(found["question"]) == _digest(question)
-            is_current = is_whole and all(checksum(name) == one for name, one in found["files"].items())
-            answer: dict[str, Any] = found["answer"]
+                found = json.loads(file.read(MOST_JSON_BYTES))
+            answer, files = found["answer"], found["files"]
+            is_whole = found["sha256"] == _digest({"question": question, "answer": answer, "files": files})
+            return answer if is_whole and all(checksum(name) == one for name, one in files.items()) else None
         except UNREADABLE:
             return None
-        return answer if is_current else None
 
     def put(self, question: Record, answer: Record, files: Mapping[str, str] | None = None) -> None:
         """Keep an answer and the checksums of the `files` it was made from; InputError if it cannot be written."""
         if self.folder is not None:
             record = {"question": question, "answer": answer, "files": dict(files or {})}
-            whole = record | {"sha256": _digest(record)}
-            write_text(Path(self.folder, _file_name(question)), json.dumps(whole, indent=1) + "\n")
+            text = json.dumps(record | {"sha256": _digest(record)}, indent=1)
+            write_text(Path(self.folder, _file_name(question)), text + "\n")
 
 
 NO_CACHE = Cache()

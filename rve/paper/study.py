@@ -25,7 +25,7 @@ from rve.common import (
     versions,
     write_text,
 )
-from rve.common.drawing.plane import BLUE, GREEN, VERMILION, new_axes, new_figure, save_figure, shade, viridis
+from rve.common.drawing.plane import BLUE, GREEN, VERMILION, new_axes, new_figure, save_figure, viridis
 from rve.directions import grid
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
@@ -221,7 +221,7 @@ def strains(study: Study) -> Any:
     for k, ax in enumerate(axes):
         for alpha in np.unique(table.alpha_deg):
             rows = np.flatnonzero(table.alpha_deg == alpha)
-            colour = shade(alpha / max(table.alpha_deg.max(), 1.0))
+            colour = viridis()(alpha / max(table.alpha_deg.max(), 1.0))
             ax.plot(table.beta_deg[rows], table.E[rows, k], "-", color=colour, lw=1.0, label=f"{alpha:g}")
             ax.plot(table.beta_deg[rows], study.E[rows, k], "o", color=colour, ms=3, mfc="none")
         free = ~table.unique

@@ -47,11 +47,6 @@ def viridis() -> ListedColormap:
     return ListedColormap(matplotlib.colormaps["viridis"].colors[:225])  # type: ignore[attr-defined]
 
 
-def shade(share: float) -> Any:
-    """A colour of `viridis`, from 0 to 1."""
-    return viridis()(float(share))
-
-
 def save_figure(path: str | os.PathLike[str], figure: Any, dpi: float = 150) -> None:
     """Write a figure, atomically; the ending of the name is the format, PNG without one. InputError for others."""
     try:
