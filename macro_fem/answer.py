@@ -12,7 +12,7 @@ from macro_fem.output.forces import support_rows
 from macro_fem.output.pictures import Pictures
 from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.solvers.status import Status
-from rve.common import as_html, job, require
+from rve.common import as_html, check_out_job, job, require
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
