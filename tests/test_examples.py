@@ -12,6 +12,8 @@ from rve import Material, with_rings
 from rve.geometry.cell import Cell
 from rve.solve import solve_table
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def chain(tmp_path_factory):
@@ -56,7 +58,6 @@ def strip(mass):
     )
 
 
-@pytest.mark.slow
 def test_the_factor_of_a_wire_is_that_of_its_table_row(tmp_path):
     """The pull along the grain, at which the reference cell locks: 600 over the strength of the row times the load."""
     metal = Material(yield_N_per_mm2=600.0, ultimate_N_per_mm2=None)

@@ -63,6 +63,7 @@ def rings(answer):
     return answer.rings()
 
 
+@pytest.mark.slow
 def test_rings_of_an_answer_are_those_of_its_files(answer, rings, tmp_path):
     answer.save(tmp_path / "curtain", picture=False)
     summary = rings.save(tmp_path / "rings", picture=False)

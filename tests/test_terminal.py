@@ -54,7 +54,8 @@ ANSWERS |= {f"homogenize {name}" for name in ("strain", "support", "strength")}
 
 def each():
     """The commands, those that take longest among the slow tests."""
-    slow = {"macro_fem localize", "homogenize plot", "macro_fem rings", "macro_fem compare"}
+    slow = {f"macro_fem {name}" for name in ("localize", "rings", "compare", "size", "modes", "sweep")}
+    slow |= {"homogenize plot", "rve sweep"}
     return [pytest.param(name, marks=pytest.mark.slow if name in slow else ()) for name in COMMANDS]
 
 

@@ -1,10 +1,13 @@
 """Curtain and chain sections: the reference lies between bounds, ladders end, and what is recommended holds."""
 
+import pytest
+
 from benchmarks.measure import ROOT
 from benchmarks.work_precision import curtain
 from examples.curtain import SETTINGS
 
 
+@pytest.mark.slow
 def test_coarse_certified_interval_holds_the_extrapolated_height():
     reference, doubt = curtain.reference_height(16)
     (level, _), *_ = curtain.certified(curtain.corner_problem(), 8, 0)

@@ -1,12 +1,14 @@
 """The nested scheme of the report: its answer is that of the rings on its mesh, between the laws of any table."""
 
 import numpy as np
+import pytest
 
 from benchmarks.work_precision.nested import answered
 from homogenize import read_law_interval
 from rve import Cell
 
 
+@pytest.mark.slow
 def test_rows_are_joined_with_the_largest_work_that_is_known():
     first = answered(Cell(), np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]]), None)
     both = answered(Cell(), np.array([[0.5, 0.5]]), first)

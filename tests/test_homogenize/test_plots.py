@@ -30,6 +30,7 @@ def test_drawn_strength_is_that_of_the_law():
         assert limit(drawn, 500.0) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_pictures_are_written(tmp_path):
     words = ["plot", str(DEFAULT_LAW), "--table", str(TABLE), "--out", str(tmp_path / "out")]
     run = CliRunner().invoke(main, words)

@@ -30,7 +30,7 @@ def mean_height_bounds(solution, bounds):
     return start + bounds.lower / weight, start + bounds.upper / weight
 
 
-@pytest.mark.parametrize("pattern", ["aligned", "diagonal"])
+@pytest.mark.parametrize("pattern", ["aligned", pytest.param("diagonal", marks=pytest.mark.slow)])
 def test_bounds_contain_the_exact_net_square_and_close(pattern):
     widths = []
     for cells in (4, 8, 16):

@@ -163,6 +163,7 @@ def test_strip_over_a_cylinder_is_a_rope_over_a_pulley(fitted_law):
     assert one.settling.between_nodes_mm / other.settling.between_nodes_mm == pytest.approx(4.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_strip_that_clears_a_cylinder_with_whole_cells_converges_to_the_rope(fitted_law):
     """Its sides touch the cylinder instead of its nodes: heights come from above, and bodies do not show through."""
     (one, coarse), (other, fine) = (over_the_pulley(fitted_law, cells, "cells") for cells in (16, 32))

@@ -155,7 +155,7 @@ def test_what_rings_cannot_do_is_refused_in_a_sentence(tables, says):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("space", [False, True])
+@pytest.mark.parametrize("space", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_wall_that_pushes_rings_along_their_rail_is_refused(space):
     """On a rail one ring is held along it, so that the mesh stays somewhere; it must not carry anything."""
     hung = ring_scene(scene(support={"kind": "rail"}))
@@ -168,7 +168,7 @@ def test_a_wall_that_pushes_rings_along_their_rail_is_refused(space):
         ring_scene(scene(support={"kind": "rail"}, obstacle=[wall])).solve(space=space)
 
 
-@pytest.mark.parametrize("space", [False, True])
+@pytest.mark.parametrize("space", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_rings_of_a_straight_bar_stay_on_a_line(space):
     """In proportion to the reference, as in the disk; what carries the load is that of a loose bar, the potential no
     lower."""
@@ -246,6 +246,7 @@ def test_a_damped_motion_comes_to_rest_with_many_folds():
     assert found.contacts.min_gap_mm > -1e-9
 
 
+@pytest.mark.slow
 def test_a_motion_to_supports_that_the_rings_cannot_reach_says_so():
     over = ring_scene(scene(2, 2, support=[{"kind": "top"}, {"kind": "edge", "edge": "bottom", "move": [0.0, -60.0]}]))
     found = over.solve(space=True, options=FiniteOptions(by_motion=True))

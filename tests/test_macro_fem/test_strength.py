@@ -81,6 +81,7 @@ def test_the_average_over_a_cell_converges_at_a_hook_where_the_pointwise_value_g
     assert "grows with every refinement" in fine["strength_note"]
 
 
+@pytest.mark.slow
 def test_a_coarse_mesh_tells_the_utilisation_of_a_fine_one_from_the_force_at_the_corners():
     """Averages of the coarse mesh are low in proportion to its cells; the force over the width of an average is not."""
     coarse, fine = corner_hung(60.0, 4), corner_hung(60.0, 24)

@@ -125,7 +125,7 @@ def test_grain_along_x_is_the_mesh_turned_over():
     assert x.provenance["b_x_mm"] == pytest.approx(y.provenance["b_y_mm"], abs=1e-9)
 
 
-@settings(deadline=None, max_examples=4)
+@settings(deadline=None, max_examples=2)
 @given(st.floats(1e-4, 1e4), st.floats(-85, 85), st.floats(2, 88))
 def test_units_do_not_matter(scale, alpha, beta):
     plain = solve_table(Cell(5.0, 0.5), ([alpha], [beta]))
@@ -167,7 +167,9 @@ def test_batch_size_and_order_do_not_matter(paper_table):
     np.testing.assert_allclose(alone.E, paper_table.E[order[:1]], atol=1e-10)
 
 
-@pytest.mark.parametrize("ratio", [4.0, 5.0, 10.0, 20.0, 50.0, 100.0])
+@pytest.mark.parametrize(
+    "ratio", [4.0, 10.0, 100.0, *(pytest.param(ratio, marks=pytest.mark.slow) for ratio in (5.0, 20.0, 50.0))]
+)
 def test_radius_ratios(ratio):
     alpha, beta = np.meshgrid([0.0, 20.0, 45.0, 70.0], [5.0, 30.0, 60.0, 90.0 if ratio < 50.0 else 75.0])
     table = solve_table(Cell(5.0, 5.0 / ratio), (alpha.ravel(), beta.ravel()), FIRST)

@@ -508,6 +508,7 @@ def from_random_starts(seeds):
     return [mesh.solve(force, held, at, options=one) for one in options], np.abs(force).sum() * 5.0
 
 
+@pytest.mark.slow
 def test_random_starts_end_at_one_potential():
     """From start 10 the supports cannot be moved at once."""
     found, scale = from_random_starts((0, 1, 10))
@@ -608,7 +609,15 @@ def test_a_guide_has_no_part_in_the_answer_but_where_it_is_found():
     assert guided.reaction.sum(axis=0) == pytest.approx(-force.sum(axis=0), abs=1e-8)
 
 
-@pytest.mark.parametrize(("weave", "ratio"), [("4-in-1", 3.985), ("4-in-1", 4.03), ("6-in-1", 6.0), ("6-in-1", 6.1)])
+@pytest.mark.parametrize(
+    ("weave", "ratio"),
+    [
+        ("4-in-1", 3.985),
+        pytest.param("4-in-1", 4.03, marks=pytest.mark.slow),
+        pytest.param("6-in-1", 6.0, marks=pytest.mark.slow),
+        pytest.param("6-in-1", 6.1, marks=pytest.mark.slow),
+    ],
+)
 def test_near_jamming_the_disturbance_leaves_the_start_open(weave, ratio):
     """A disturbance of 0.01 r1 is more than the clearance there: wires overlapped, and held rings did not arrive."""
     mesh = FiniteMesh.rectangle(Cell(ratio, 1.0, WEAVES[weave]), 2, 2)

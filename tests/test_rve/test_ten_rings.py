@@ -26,10 +26,13 @@ def all_rings(motion, dynamics):
     return ten.TenRings(flat[0], pose.normals[0, ten.KIND], np.concatenate([flat[1], spin], axis=1))
 
 
-CASES = [(0.0, 45.0, True), (20.0, 30.0, True), (10.0, 10.0, True), (45.0, 90.0, True), (0.0, 90.0, True)]
+CASES = [(20.0, 30.0, True), (45.0, 90.0, True), (0.0, 90.0, True), (20.0, 30.0, False)]
+CASES = [pytest.param(*case, marks=pytest.mark.slow) for case in CASES]
 
 
-@pytest.mark.parametrize(("alpha", "beta", "curvature"), [*CASES, (20.0, 30.0, False), (10.0, 10.0, False)])
+@pytest.mark.parametrize(
+    ("alpha", "beta", "curvature"), [(0.0, 45.0, True), (10.0, 10.0, True), (10.0, 10.0, False), *CASES]
+)
 def test_every_step_is_the_same_to_round_off(alpha, beta, curvature):
     """Forces are stiffness times gap: a round-off of a gap, 1e-16, times the largest stiffness over load, 1.6e6.
 
