@@ -212,7 +212,7 @@ def test_limits_are_named(known_rings):
     mesh = solve_on_demand(square(), Cell(), 1e-3, limits=Limits(cells=100))
     assert mesh.status == "mesh_limit"
     assert "100 triangles" in mesh.message
-    law = solve_on_demand(square(), Cell(), 1e-3, limits=Limits(solves=12, cells=400))
+    law = solve_on_demand(square(), Cell(), 1e-3, limits=Limits(solves=12, cells=100))
     assert law.status in ("law_limit", "mesh_limit")
     assert law.rings.solves == 12
     turns = solve_on_demand(square(), Cell(), 1e-3, limits=Limits(turns=2))
