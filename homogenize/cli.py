@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,7 @@ def fit(table: Path, out: Path, kind: str | None, noise: float | None, resolutio
     if result.law.strength is not None:
         say(result.law.strength.text())
     say(f"law written to {out}", f"a curtain of it: macro_fem run SCENE --law {out} --out FOLDER")
-    answer({"law": str(out), "report": result.report.to_dict()})
+    answer({"law": str(out), "report": asdict(result.report)})
     say_next(
         "homogenize", "plot", out, "--table", table, "--out", out.with_name(f"{out.stem}_pictures"), why="pictures"
     )

@@ -23,8 +23,7 @@ from macro_fem.demand.options import OnDemand
 from macro_fem.membrane import MembraneSolution
 from macro_fem.output.pictures import Pictures
 from macro_fem.problem import make_problem
-from macro_fem.rings.compare import Comparison
-from macro_fem.rings.every_ring import EveryRing, EveryRingSolution
+from macro_fem.rings.every_ring import Comparison, EveryRing, EveryRingSolution
 from macro_fem.rings.ring_scene import in_material, ring_scene
 from macro_fem.scene.checks import check_bounds, check_scene, check_sizes
 from macro_fem.scene.loads import areal_mass
@@ -57,7 +56,7 @@ def solve(scene: Scene, who: Who = None) -> Solution:
     """
     check_scene(scene)
     if scene.motion is not None:
-        raise InputError(f"{scene.source}: [motion]: is for a curtain over time, use macro_fem run or solve_motion")
+        raise InputError(f"{scene.source}: [motion]: is for a curtain over time, use macro_fem run or MovingCurtain")
     if isinstance(who, EveryRing):
         if scene.combination:
             raise InputError(f"{scene.source}: [combination]: is for a curtain by a law; every ring bears its loads")

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.every_ring.brute import Array, least_gap
-from macro_fem.motion.rings import RingRun
+from macro_fem.motion.pace import Run
+from macro_fem.motion.rings import RingFrame
 
 CAPSULES = 24
 STEPS = (1e-3, 5e-4)
@@ -33,7 +34,7 @@ class Fallen(NamedTuple):
     least_gap: float
 
 
-def fall(run: RingRun, duration: float, dt: float) -> Fallen:
+def fall(run: Run[RingFrame], duration: float, dt: float) -> Fallen:
     """The rings of the first frame of a run, of which those that its last frame holds no more are let go.
 
     The steps of the run are those of the answer.

@@ -13,10 +13,10 @@ from benchmarks.frame import Section, table
 from benchmarks.measure import Row
 from homogenize import default_law
 from macro_fem import Mesh, Motion, Point, Rectangle, Scene, Top, Wind
-from macro_fem.motion.curtain import solve_motion
+from macro_fem.motion.curtain import MovingCurtain
 from macro_fem.motion.files import account_error
 from macro_fem.motion.pace import COLUMNS
-from macro_fem.motion.rings import solve_ring_motion
+from macro_fem.motion.rings import MovingRings
 
 DURATION, STEP, CELLS = 0.15, 5e-3, 16
 """Seconds, and cells of the disk across."""
@@ -48,9 +48,9 @@ def motion_scene(name: str, k: int) -> Scene:
 def solved(name: str, k: int) -> Row:
     """Times, mean places of rings and disk in mm, and what both have lost by locking at the end, in %."""
     scene, began = motion_scene(name, k), time.process_time()
-    ring_run = solve_ring_motion(scene)
+    ring_run = MovingRings(scene).solve()
     seconds = time.process_time() - began
-    disk_run = solve_motion(scene, default_law())
+    disk_run = MovingCurtain(scene, default_law()).solve()
     rings = np.array([frame.row for frame in ring_run.frames])
     disk = np.array([frame.row for frame in disk_run.frames])
     given = float((disk[:, WORK] - disk[:, POTENTIAL]).max() + disk[0, POTENTIAL])
@@ -63,7 +63,7 @@ def solved(name: str, k: int) -> Row:
 def engine_row(dt: float, ours: Row) -> Row:
     """MuJoCo's way of the mean place against ours, its least gap and seconds."""
     scene = replace(motion_scene(SCENES[0], BESIDE), motion=Motion(STEP, STEP))
-    fallen = engine.fall(solve_ring_motion(scene), DURATION, dt)
+    fallen = engine.fall(MovingRings(scene).solve(), DURATION, dt)
     away = fallen.mean - ours["places"][1]
     away = ours["share"] * (away - away[0])
     return {

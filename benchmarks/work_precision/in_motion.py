@@ -15,7 +15,7 @@ from benchmarks.frame import Diagram, Section, curves, table
 from benchmarks.measure import Row, least_seconds
 from homogenize import default_law
 from macro_fem.curtain import solve_problem
-from macro_fem.motion.curtain import MotionFrame, MovingCurtain, solve_motion
+from macro_fem.motion.curtain import MotionFrame, MovingCurtain
 from macro_fem.motion.pace import Run
 from macro_fem.motion.stage import scene_at
 from macro_fem.problem import make_problem
@@ -45,7 +45,8 @@ def run(name: str, cells: int, motion: dict[str, Any]) -> Run[MotionFrame]:
     """A scene in motion; ValueError if a step is not solved."""
     duration, tables = SCENES[name]
     base = {"curtain": {"width": SIDE, "height": SIDE}, "mesh": {"cells": cells}, "solver": {"space": True}}
-    found = solve_motion(read_scene(base | tables | {"motion": {"duration": duration} | motion}), default_law())
+    scene = read_scene(base | tables | {"motion": {"duration": duration} | motion})
+    found = MovingCurtain(scene, default_law()).solve()
     if found.status != "converged":
         raise ValueError(f"{name}: {found.message}")
     return found

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -124,7 +124,7 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
         "numpy": np.__version__,
     }
     report = replace(error_report(law, rows, found, refit), kind=options.kind)
-    return FitResult(replace(law, provenance=provenance | {"report": report.to_dict()}), report)
+    return FitResult(replace(law, provenance=provenance | {"report": asdict(report)}), report)
 
 
 def stiffness_of(table: StrainTable) -> tuple[Array, str]:
@@ -140,10 +140,8 @@ def stiffness_of(table: StrainTable) -> tuple[Array, str]:
         raise InputError("no row of the table has a compliance with S:D S > 0")
     A = constant_compliance(table.S[known], work[known], table.is_mirrored)
     share = work_along(table.S[known], A) / work[known]
-    origin = (
-        f"the rows' compliance along their own load, S:D S of the rows times {share.min():.3g} to {share.max():.3g}"
-    )
-    return np.asarray(np.linalg.inv(A)), origin
+    told = f"S:D S of the rows times {share.min():.3g} to {share.max():.3g}"
+    return np.asarray(np.linalg.inv(A)), f"the rows' compliance along their own load, {told}"
 
 
 def stiffness_by_direction(law: MembraneLaw) -> str | None:

@@ -40,12 +40,11 @@ def error_report(
     bounds = bounds_of(rows)
     S = random_loads()
     lower, upper, h = bounds.lower(S), bounds.upper(S), law.support(S)
-    held_out = None if refit is None else held_out_misfit(rows, refit)
     return ErrorReport(
         law.name,
         found.sentence(),
         misfit_of(rows.S, law.support(rows.S) - rows.h),
-        held_out,
+        None if refit is None else held_out_misfit(rows, refit),
         misfit_of(S, upper - lower),
         float(np.maximum(lower - h, 0.0).max()),
         float(np.maximum(h - upper, 0.0).max()),

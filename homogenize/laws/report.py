@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Annotated
 
 from msgspec import Meta
 
@@ -61,8 +61,4 @@ class ErrorReport(Typed):
         left = f"the law leaves the bounds by {self.below:.1e} below, {self.above:.1e} above (h at unit trace of S)"
         return "\n".join([*lines, self.gap.text("outer minus inner bound of h"), left])
 
-    def __str__(self) -> str:
-        return self.text()
-
-    def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
+    __str__ = text

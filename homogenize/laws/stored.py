@@ -88,8 +88,7 @@ class StoredLaw(MembraneLaw):
         rings = "" if self.cell is None else f", r1 = {self.cell.r1_mm:g} mm, r2 = {self.cell.r2_mm:g} mm"
         return f"{type(self).__name__}: {kind}{rings}"
 
-    def __repr__(self) -> str:
-        return str(self)
+    __repr__ = __str__
 
     def _repr_html_(self) -> str:
         report = self.report

@@ -98,9 +98,8 @@ def strain_bounds(rows: LockedRows, s: Array) -> StrainBounds:
     both = with_mirror(rows)
     slack = -normality(rows).slack
     known = _Known(both.S * WEIGHT, 1.0 + 2.0 * (both.h + slack), both.E * WEIGHT, slack)
-    ends = [_bounds_under(load, known) for load in np.asarray(s, float)]
-    low, high = (np.array([pair[k] for pair in ends]).reshape(-1, 3) for k in (0, 1))
-    return StrainBounds(low, high)
+    ends = np.array([_bounds_under(load, known) for load in np.asarray(s, float)]).reshape(-1, 2, 3)
+    return StrainBounds(ends[:, 0], ends[:, 1])
 
 
 def _bounds_under(s: Array, known: _Known) -> tuple[Array, Array]:

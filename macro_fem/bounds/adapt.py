@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from homogenize import MembraneLaw
 from macro_fem.bounds.interval import CurtainBounds, bound
 from macro_fem.curtain import solve_problem
-from macro_fem.fem.discretization import Discretization, reference_shapes
+from macro_fem.fem.discretization import reference_shapes
 from macro_fem.problem import CurtainProblem, make_problem
 from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.schema import Scene
@@ -77,15 +77,10 @@ def admissible_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor
     problem = make_problem(quadratic, law, mesh, factor)
     if len(problem.walls):
         return make_problem(replace(scene, mesh=replace(scene.mesh, element="P1")), law, mesh, factor)
-    disc = at_corners(problem.disc)
-    return replace(problem, disc=disc, fem=problem.supports.fem(disc))
-
-
-def at_corners(disc: Discretization) -> Discretization:
-    """P2 with its points at the corners of the triangles, a third of the area each: exact for linear functions."""
     values, gradients = reference_shapes(skfem.ElementTriP2(), CORNERS, 6)
-    weight = np.tile(disc.cell_area / 3.0, 3)
-    return replace(disc, shape_values=values, shape_gradients=gradients, weight=weight)
+    weight = np.tile(problem.disc.cell_area / 3.0, 3)  # exact for linear functions
+    disc = replace(problem.disc, shape_values=values, shape_gradients=gradients, weight=weight)
+    return replace(problem, disc=disc, fem=problem.supports.fem(disc))
 
 
 def with_cones_of(problem: CurtainProblem, before: CurtainSolution | None) -> CurtainProblem:

@@ -24,12 +24,12 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from homogenize import MembraneLaw
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import Discretization, Points, discretize
 from macro_fem.fem.hung_law import largest_stretch
 from macro_fem.fem.supported import SupportedFem
+from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import disk_areas, weight_per_area, wind_per_area
 from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
@@ -131,13 +131,13 @@ class DualProblem:
     walls: Walls
 
 
-def dual_problem(solution: CurtainSolution, factor: float, near_slack: Array) -> DualProblem:
+def dual_problem(solution: CurtainSolution, near_slack: Array) -> DualProblem:
     """The hybrid problem that belongs to a P1 solution; edges at single held points are held at `near_slack`
     (n_nodes, d), positions of its nodes.
     """
     problem, d = solution.problem, solution.problem.fem.d
     scene, given, dual = problem.scene, problem.supports, dual_mesh(problem.mesh)
-    force, cost = dead_and_live(scene, dual, problem.law, factor, problem.wind)
+    force, cost = dead_and_live(problem, dual)
     mask, positions = np.zeros(near_slack.shape, bool), in_space_of(dual.disc.nodes, d)
 
     single = [held for held in given.held if not len(held.facets)]
@@ -168,14 +168,9 @@ def dual_problem(solution: CurtainSolution, factor: float, near_slack: Array) ->
     return DualProblem(dual, fem, force, cost, facet, near, centre, _walls(problem.walls, dual))
 
 
-def dead_and_live(
-    scene: Scene, dual: DualMesh, law: MembraneLaw, factor: float, shaped: Array | None
-) -> tuple[Array, float]:
-    """Nodal forces (n_nodes, d) and the most that spreading point loads over edges may change the potential, N mm.
-
-    shaped: what wind on the present shape presses the cells with (n_cells, d), N/mm2.
-    """
-    disc, mesh = dual.disc, dual.mesh
+def dead_and_live(problem: CurtainProblem, dual: DualMesh) -> tuple[Array, float]:
+    """Nodal forces (n_nodes, d) and the most that spreading point loads over edges may change the potential, N mm."""
+    scene, law, factor, disc, mesh = problem.scene, problem.law, problem.factor, dual.disc, dual.mesh
     force = load_vector(disc, weight_per_area(scene, law.cell))
     for bar in scene.of(Bar):
         facets = mesh.edge(bar.edge, "[load.bar] edge")
@@ -183,8 +178,8 @@ def dead_and_live(
         force += _traction_forces(dual, facets, weight / dual.edge_lengths[facets].sum())
     for wind in scene.of(Wind):
         force += 0.0 if wind.is_shaped else load_vector(disc, factor * wind_per_area(wind, scene, law.cell))
-    if shaped is not None:
-        force += load_vector(disc, np.tile(shaped, (3, 1)))
+    if problem.wind is not None:
+        force += load_vector(disc, np.tile(problem.wind, (3, 1)))
     for edge in scene.of(EdgeLoad):
         force += _traction_forces(dual, mesh.edge(edge.edge, "[load.edge] edge"), factor * scene.vector(edge.force))
     cost = 0.0

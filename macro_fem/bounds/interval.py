@@ -86,10 +86,9 @@ def loads_of(weight: Array, S: Array, inner: MembraneLaw, outer: MembraneLaw) ->
 
 
 def bound(
-    solution: CurtainSolution, factor: float = 1.0, outer: MembraneLaw | None = None, path: PathOptions = PATH_OF_BOUNDS
+    solution: CurtainSolution, outer: MembraneLaw | None = None, path: PathOptions = PATH_OF_BOUNDS
 ) -> CurtainBounds:
-    """Bounds of the potential around an admissible solution in P1, or in P2 with the law at the corners of triangles,
-    at the same load step `factor`.
+    """Bounds of the potential around an admissible solution in P1, or in P2 with the law at the corners of triangles.
 
     `outer`: a law, in the frame of the weave, that contains the solution's; the lower bound is then for it. InputError
     for a piece of the curtain that hangs on a single corner of another.
@@ -97,11 +96,11 @@ def bound(
     begin = time.perf_counter()
     upper, inner, area = solution.primal, solution.problem.law, solution.problem.disc.weight
     gradients = solution.F if solution.problem.disc.n_quad == 3 else np.tile(solution.F, (3, 1, 1))
-    solution = linear_part(solution, factor, outer)
+    solution = linear_part(solution, outer)
     problem = solution.problem
-    dual, result = _solve(solution, factor, path, INWARD)
+    dual, result = _solve(solution, path, INWARD)
     if result.stop == "infeasible":
-        dual, result = _solve(solution, factor, path, 1.0)
+        dual, result = _solve(solution, path, 1.0)
     held = dual.fem.positions(np.zeros(dual.fem.n))
     value = result.dual - float((dual.force * held).sum())
     tether_cost, moment = _tether_cost(dual, problem.law, result, held)
@@ -120,20 +119,18 @@ def bound(
     )
 
 
-def _solve(
-    solution: CurtainSolution, factor: float, path: PathOptions, inward: float
-) -> tuple[DualProblem, PathResult]:
+def _solve(solution: CurtainSolution, path: PathOptions, inward: float) -> tuple[DualProblem, PathResult]:
     """The hybrid problem of a P1 solution and its answer, edges around points held where the P1 curtain is, drawn
     `inward`. The P1 part of a P2 curtain may leave the law by more than that where points are close.
     """
     problem, x = solution.problem, at_dual_nodes(slackened(solution, inward), solution.problem.mesh)
-    dual = dual_problem(solution, factor, x)
+    dual = dual_problem(solution, x)
     path = replace(path, max_iterations=problem.scene.solver.max_iterations, cones=solution.cones)
     load, start, terms = dual.fem.gather(dual.force), dual.fem.unknowns(x), Terms(walls=dual.walls)
     return dual, solve_path(dual.fem, problem.law, load, start, problem.mesh.size, path, terms)
 
 
-def linear_part(solution: CurtainSolution, factor: float, outer: MembraneLaw | None) -> CurtainSolution:
+def linear_part(solution: CurtainSolution, outer: MembraneLaw | None) -> CurtainSolution:
     """The solution as one in P1, under `outer` where given, with its half-spaces at the three corners of every
     triangle.
     """
@@ -143,7 +140,7 @@ def linear_part(solution: CurtainSolution, factor: float, outer: MembraneLaw | N
     flat = replace(problem.scene, mesh=replace(problem.scene.mesh, element="P1"))
     if outer is not None or problem.disc.element != "P1":
         wind = problem.wind
-        problem = make_problem(flat, problem.law.own if outer is None else outer, problem.mesh, factor)
+        problem = make_problem(flat, problem.law.own if outer is None else outer, problem.mesh, problem.factor)
         problem = problem if wind is None else with_wind(problem, wind)
     if outer is not None and cones is not None:
         cones = replace(cones, h=problem.law.support(cones.S))

@@ -95,11 +95,6 @@ class Discretization:
         """Quadrature points of the whole mesh."""
         return self.n_quad * self.n_cells
 
-    @property
-    def dofs(self) -> Index:
-        """The node numbers seen by each point, (n_points, n_local)."""
-        return np.tile(self.cell_dofs, (self.n_quad, 1))
-
     @cached_property
     def grad(self) -> Array:
         """The gradients of the shape functions at each point, (n_points, n_local, 2), 1/mm."""

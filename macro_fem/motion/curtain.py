@@ -14,9 +14,8 @@ from macro_fem.curtain import is_alike, is_elastic, solve_problem
 from macro_fem.fem.assembly import gradient, internal_force, load_vector
 from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
-from macro_fem.motion.contact import Contacts
-from macro_fem.motion.pace import Failed, Frame, Mover, Run
-from macro_fem.motion.stage import forces_at, let_go, masses_of, scene_at, stored_energy, weights_of
+from macro_fem.motion.pace import Failed, Frame, Mover
+from macro_fem.motion.stage import Contacts, forces_at, let_go, masses_of, scene_at, stored_energy, weights_of
 from macro_fem.motion.step import (
     Account,
     Moment,
@@ -24,7 +23,6 @@ from macro_fem.motion.step import (
     Stepped,
     Worked,
     difference,
-    kinetic_energy,
     next_account,
     solve_step,
     support_forces,
@@ -53,8 +51,6 @@ if TYPE_CHECKING:
 
 REST = 10.0
 """mm that nodes at rest may go in a step before balls are looked at again."""
-FIELDS = ("P", "S", "supports", "relative_gap")
-"""What motion.npz has of each frame beside its moment and account."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -74,15 +70,6 @@ class MotionFrame(Frame):
         disc = self.problem.disc
         x, share = padded(self.moment.x[: disc.n_nodes]), load_vector(disc, np.array([1.0]))[:, 0]
         return x, share, self.supports, self.relative_gap
-
-
-def solve_motion(scene: Scene, law: MembraneLaw, start: MotionFrame | None = None) -> Run[MotionFrame]:
-    """The scene of [motion] over its duration, from its beginning or from a frame of a run before.
-
-    InputError for what cannot begin, NotConverged if the curtain at rest that it begins with is none. A step that fails
-    ends the run with a status; the frames so far are kept, as they are when Ctrl-C stops it.
-    """
-    return MovingCurtain(scene, law).solve(start)
 
 
 class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
@@ -124,13 +111,8 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             S, cones, forces = np.zeros((len(P), 3)), None, np.zeros_like(x)
         place = np.vstack([x, *[np.array([ball.at]) for ball in balls]])
         Contacts(problem, balls).check_start(place)
-        v = np.vstack([np.zeros_like(x), *[np.array([ball.velocity]) for ball in balls]])
-        account = Account(
-            kinetic=kinetic_energy(masses_of(problem, balls), v),
-            potential=-float((weights_of(problem, balls) * place).sum()),
-            stored=0.0 if self.is_rigid else stored_energy(problem, gradient(problem.disc, x)),
-        )
-        moment = Moment(0.0, place, v)
+        stored = 0.0 if self.is_rigid else stored_energy(problem, gradient(problem.disc, x))
+        moment, account = self.at_start(place, masses_of(problem, balls), weights_of(problem, balls), stored)
         return MotionFrame(moment=moment, account=account, P=P, S=S, supports=forces, problem=problem, cones=cones)
 
     def next_frame(self, frame: MotionFrame, before: Moment | None, h: float) -> MotionFrame:
@@ -189,16 +171,11 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         disc = last.problem.disc
         return found | {"cells": disc.n_cells, "element": disc.element, "law": last.problem.law.name}
 
-    def pack(self, frames: Sequence[MotionFrame]) -> dict[str, Any]:
-        return {name: np.array([getattr(one, name) for one in frames]) for name in FIELDS}
+    def pack(self, frame: MotionFrame) -> dict[str, Any]:
+        return {name: getattr(frame, name) for name in ("P", "S", "supports", "relative_gap")}
 
-    def unpack(self, kept: dict[str, Any], moments: Sequence[Moment], accounts: Sequence[Account]) -> list[MotionFrame]:
-        return [
-            MotionFrame(
-                moment=moment, account=account, problem=self.at(moment.t)[0], **dict(zip(FIELDS, more, strict=True))
-            )
-            for moment, account, *more in zip(moments, accounts, *(kept[name] for name in FIELDS), strict=True)
-        ]
+    def unpack(self, moment: Moment, account: Account, kept: dict[str, Any]) -> MotionFrame:
+        return MotionFrame(moment=moment, account=account, problem=self.at(moment.t)[0], **kept)
 
     def as_solution(self, frame: MotionFrame) -> CurtainSolution:
         """The curtain at a frame, with balls as obstacles of the scene and without supports that have let go.

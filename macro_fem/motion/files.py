@@ -18,12 +18,13 @@ import numpy as np
 from homogenize import MembraneLaw
 from macro_fem.answer import RECORD, read_job
 from macro_fem.motion.curtain import MovingCurtain
-from macro_fem.motion.pace import COLUMNS, F, Mover, Pace, Run
+from macro_fem.motion.pace import COLUMNS, Frame, Mover, Pace, Run
 from macro_fem.motion.rings import MovingRings
 from macro_fem.motion.step import Account, Moment
 from macro_fem.output.files import collection
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.every_ring import EveryRing
+from macro_fem.scene.schema import Scene
 from rve.common import Array, InputError, csv_text, json_text, tell
 from rve.common.drawing.page import write_moments
 from rve.common.drawing.space import save_animation
@@ -37,6 +38,7 @@ IMPULSES = (
     "rings that lock do so by impulses: forces and line loads are those over each step divided by its length, and grow "
     'with shorter steps where something is struck; kind = "elastic" under [solver] gives forces'
 )
+AnyMover = Mover[Any, Any]
 FORCES = "at the ends of the steps, by the elasticity of the rings"
 
 
@@ -60,16 +62,8 @@ def run_motion(
     scene, law, inputs = read_job(scene_path, law_path, out)
     wanted = Pictures(picture, animation, html, stem="motion")
     wanted.check(None if each_ring else scene)
-    if not each_ring:
-        return _run(MovingCurtain(scene, law), named(law), out, inputs, wanted, goes_on)
-    who = EveryRing(law, **each_ring)
-    return _run(MovingRings(scene, who), f"{who.space} {named(law)}", out, inputs, wanted, goes_on)
-
-
-def _run(
-    mover: Mover[F, Any], name: str, out: Path, inputs: Sequence[Path | None], wanted: Pictures, goes_on: bool
-) -> dict[str, Any]:
-    of, before, rows = _checksum(mover, name), list[F](), list[Any]()
+    mover: AnyMover = MovingRings(scene, EveryRing(law, **each_ring)) if each_ring else MovingCurtain(scene, law)
+    of, before, rows = _checksum(scene, law, each_ring.get("space")), list[Frame](), list[Any]()
     if goes_on:
         before, rows = read_kept(out / KEPT, mover, of)
         if before[-1].moment.t >= mover.motion.duration * (1.0 - 1e-9):
@@ -88,7 +82,7 @@ def _run(
     return summary
 
 
-def chosen(frames: Sequence[F], most: int) -> list[F]:
+def chosen(frames: Sequence[Frame], most: int) -> list[Any]:
     """At most so many frames, at times as even as the steps are, the first and the last among them."""
     t = np.array([frame.moment.t for frame in frames])
     which = np.arange(len(t))
@@ -97,7 +91,7 @@ def chosen(frames: Sequence[F], most: int) -> list[F]:
     return [frames[int(k)] for k in which]
 
 
-def _write_pictures(folder: Path, mover: Mover[F, Any], frames: Sequence[F], wanted: Pictures) -> None:
+def _write_pictures(folder: Path, mover: AnyMover, frames: Sequence[Frame], wanted: Pictures) -> None:
     """motion.png, motion.html and motion.gif, as far as they are wanted; motion.mp4 where ffmpeg is installed."""
     some = chosen(frames, IMAGES)
     if wanted.picture:
@@ -112,7 +106,7 @@ def _write_pictures(folder: Path, mover: Mover[F, Any], frames: Sequence[F], wan
             subprocess.run(words, check=False)
 
 
-def _write_frames(folder: Path, mover: Mover[F, Any], frames: Sequence[F]) -> None:
+def _write_frames(folder: Path, mover: AnyMover, frames: Sequence[Frame]) -> None:
     """motion_0000.vtu and so on with motion.pvd, and where bodies are, as points and in bodies.csv."""
     import meshio
 
@@ -136,7 +130,7 @@ def _write_frames(folder: Path, mover: Mover[F, Any], frames: Sequence[F]) -> No
         write_text(folder / "bodies.csv", csv_text(names, places))
 
 
-def summarize(mover: Mover[F, Any], run: Run[F], rows: Array) -> dict[str, Any]:
+def summarize(mover: AnyMover, run: Run[Any], rows: Array) -> dict[str, Any]:
     """The numbers of summary.json from the `row` and the `peaks` of every step (m, 14 or more)."""
     last, t, force = run.frames[-1], rows[:, 0], rows[:, COLUMNS.index("support_force_N")]
     first = len(last.moment.x) - len(mover.balls)
@@ -179,49 +173,51 @@ def account_error(rows: Array) -> float:
     return float(np.abs(balance).max()) / scale
 
 
-def _write_kept(path: Path, mover: Mover[F, Any], of: str, frames: Sequence[F], rows: Array) -> None:
+def _write_kept(path: Path, mover: AnyMover, of: str, frames: Sequence[Frame], rows: Array) -> None:
     """Write what a run goes on from: frames, the last one of the run at the end, and the rows of all steps."""
-    pace, moments = frames[-1].pace, [one.moment for one in frames]
+    pace = frames[-1].pace
     kept: dict[str, Any] = {"of": np.array(of), "rows": rows, "pace": np.array([pace.h, pace.most, pace.is_euler])}
-    kept |= {name: np.array([getattr(one, name) for one in moments]) for name in ("t", "x", "v")}
-    kept["account"] = np.array([astuple(one.account) for one in frames])
+    for k, frame in enumerate(frames):
+        told = vars(frame.moment) | {"account": astuple(frame.account)} | mover.pack(frame)
+        kept |= {f"{name}_{k}": value for name, value in told.items()}
     if pace.last is not None:
-        kept |= {f"last_{name}": np.array(getattr(pace.last, name)) for name in ("t", "x", "v")}
+        kept |= {f"{name}_last": value for name, value in vars(pace.last).items()}
     with atomic_path(path) as temporary:
-        np.savez_compressed(temporary, **kept, **mover.pack(frames))
+        np.savez_compressed(temporary, **kept)
 
 
-def read_kept(path: Path, mover: Mover[F, Any], of: str) -> tuple[list[F], list[Any]]:
+def read_kept(path: Path, mover: AnyMover, of: str) -> tuple[list[Any], list[Any]]:
     """Frames and rows of a run of the same scene but for its duration; InputError for any other file."""
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             kept = dict(file)
-        pace, rows = kept["pace"], kept["rows"]
-        accounts = [Account(*one.tolist()) for one in kept["account"]]
-        moments = [Moment(float(t), x, v) for t, x, v in zip(kept["t"], kept["x"], kept["v"], strict=True)]
-        is_same = str(kept["of"]) == of
+        is_same, rows, (h, most, is_euler) = str(kept["of"]) == of, list(kept["rows"]), kept["pace"].tolist()
     except FileNotFoundError as error:
         raise InputError(f"--continue: {path} is missing: there is no run to go on with") from error
     except (OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error) as error:
         raise InputError(f"--continue: {path} is not what a run has kept: run again without it") from error
     if not is_same:
         raise InputError(f"--continue: {path} is of another scene or law: only [motion] duration may differ")
-    frames = mover.unpack(kept, moments, accounts)
-    last = Moment(float(kept["last_t"]), kept["last_x"], kept["last_v"]) if "last_t" in kept else None
-    frames[-1] = replace(frames[-1], pace=Pace(float(pace[0]), last, float(pace[1]), bool(pace[2])))
-    return frames, list(rows)
+    parts: dict[str, dict[str, Any]] = {}
+    for name in kept.keys() - {"of", "rows", "pace"}:
+        own, _, number = name.rpartition("_")
+        parts.setdefault(number, {})[own] = kept[name]
+    moments = {number: Moment(float(one.pop("t")), one.pop("x"), one.pop("v")) for number, one in parts.items()}
+    last = moments.pop("last", None)
+    frames = [
+        mover.unpack(moments[k], Account(*parts[k].pop("account").tolist()), parts[k])
+        for k in map(str, range(len(moments)))
+    ]
+    frames[-1] = replace(frames[-1], pace=Pace(h, last, most, bool(is_euler)))
+    return frames, rows
 
 
-def _checksum(mover: Mover[F, Any], name: str) -> str:
-    """A checksum of the scene without its duration and place, and of what answers."""
-    scene = mover.scene
-    told = replace(scene, motion=replace(mover.motion, duration=1e6), source=Path())
+def _checksum(scene: Scene, law: MembraneLaw, space: bool | None) -> str:
+    """A checksum of the scene without its duration and place, and of what answers: a law, or its rings, in space or
+    not."""
+    assert scene.motion is not None
+    told = replace(scene, motion=replace(scene.motion, duration=1e6), source=Path())
     times = [(getattr(item, "history", ()), getattr(item, "release", None)) for item in scene.items]  # not in a repr
     mesh = scene.mesh_file.read_bytes() if scene.mesh_file else b""
-    return hashlib.sha256(f"{told!r} {times} {name}".encode() + mesh).hexdigest()
-
-
-def named(law: MembraneLaw) -> str:
-    """The rings of a law and what it answers."""
     probe = law.support(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.3, 2.0]]))
-    return f"{law.cell!r} {probe.tolist()!r}"
+    return hashlib.sha256(f"{told!r} {times} {space} {law.cell!r} {probe.tolist()}".encode() + mesh).hexdigest()

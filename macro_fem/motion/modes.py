@@ -30,8 +30,7 @@ from macro_fem.elastic_forces import forces_by, with_forces
 from macro_fem.fem.assembly import SparsityPattern, stiffness
 from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
 from macro_fem.fem.discretization import ELEMENTS
-from macro_fem.motion.contact import pushed_points
-from macro_fem.motion.stage import masses_of, mesh_masses, scene_at
+from macro_fem.motion.stage import masses_of, mesh_masses, pushed_points, scene_at
 from macro_fem.output.files import corner_positions
 from macro_fem.scene.supports import build_supports
 from macro_fem.solution import CurtainSolution
@@ -76,15 +75,6 @@ class Modes:
     shapes: Array
     solution: CurtainSolution
     left_out: str
-
-    @property
-    def summary(self) -> dict[str, object]:
-        """Plain numbers for JSON."""
-        return {
-            "frequencies_Hz": self.frequencies_Hz.tolist(),
-            "multiplicity": self.multiplicity.tolist(),
-            "left_out": self.left_out,
-        }
 
 
 def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
@@ -218,7 +208,7 @@ def _constraints(solution: CurtainSolution, T: sparse.csc_matrix) -> sparse.csr_
     P = F[q] @ S[q][:, SQUARE]
     values = np.einsum("naB,nkB->nka", P, disc.grad[q])
     values = values / np.sqrt((values**2).sum(axis=(1, 2)))[:, None, None]
-    column = 3 * disc.dofs[q][:, :, None] + np.arange(3)
+    column = 3 * disc.cell_dofs[q][:, :, None] + np.arange(3)
     row = np.broadcast_to(np.arange(len(q))[:, None, None], column.shape)
     shape = (len(q), 3 * disc.n_nodes)
     return sparse.csr_matrix((values.ravel(), (row.ravel(), column.ravel())), shape=shape) @ T
@@ -246,8 +236,16 @@ def run_modes(
     scene, law, inputs = read_job(scene_path, law_path, out, RECORD)
     found = with_forces(solve_scene(scene if scene.motion is None else scene_at(scene, 0.0), law))
     modes, problem = find_modes(found, number), found.problem
-    summary = modes.summary | {"forces_by": forces_by(found), "cells": problem.disc.n_cells, "law": problem.law.name}
-    summary |= {"wall_s": found.wall_s, "versions": versions("scikit-fem", "scikit-sparse")}
+    summary = {
+        "frequencies_Hz": modes.frequencies_Hz.tolist(),
+        "multiplicity": modes.multiplicity.tolist(),
+        "left_out": modes.left_out,
+        "forces_by": forces_by(found),
+        "cells": problem.disc.n_cells,
+        "law": problem.law.name,
+        "wall_s": found.wall_s,
+        "versions": versions("scikit-fem", "scikit-sparse"),
+    }
     with job(out, RECORD, inputs) as folder:
         write_shapes(folder, modes, picture=picture)
         write_text(folder / RECORD, json_text(summary))

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 import numpy as np
 
 from macro_fem.motion.stage import let_go, scene_at
-from macro_fem.motion.step import Account, Moment, predicted
+from macro_fem.motion.step import Account, Moment, kinetic_energy, predicted
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Timed
 from rve.common import Array, InputError, tell
+from rve.common.drawing.space import compose
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -93,16 +94,10 @@ A = TypeVar("A")
 class Run(Generic[F]):
     """A scene in motion: one frame per step, the first one at the start, and how it ended."""
 
-    scene: Scene
     frames: tuple[F, ...]
     status: End
     message: str
     wall_s: float
-
-    @property
-    def bodies(self) -> tuple[Ball, ...]:
-        """The bodies of the scene, in the order of their nodes, which are the last ones of each moment."""
-        return self.scene.of(Ball)
 
 
 class Mover(ABC, Generic[F, A]):
@@ -146,12 +141,12 @@ class Mover(ABC, Generic[F, A]):
         """What the summary says of the last frame and the `peaks` (m, k) at the times t (m,)."""
 
     @abstractmethod
-    def pack(self, frames: Sequence[F]) -> dict[str, Any]:
-        """What a run that goes on needs of frames beside their moments and accounts."""
+    def pack(self, frame: F) -> dict[str, Any]:
+        """Arrays by name, what a run that goes on needs of a frame beside its moment and account."""
 
     @abstractmethod
-    def unpack(self, kept: dict[str, Any], moments: Sequence[Moment], accounts: Sequence[Account]) -> list[F]:
-        """The frames of `pack`."""
+    def unpack(self, moment: Moment, account: Account, kept: dict[str, Any]) -> F:
+        """The frame of `pack`."""
 
     @abstractmethod
     def write_vtu(self, path: Path, frame: F) -> None: ...
@@ -164,9 +159,16 @@ class Mover(ABC, Generic[F, A]):
     def drawn(self, frames: Sequence[F]) -> Iterable[tuple[str, Plotter]]:
         """The frames in space, each with its title, on one scale and with one camera."""
 
-    @abstractmethod
     def figures(self, frames: Sequence[F]) -> Iterable[Figure]:
         """The frames as figures of one size."""
+        return (compose(one, words) for words, one in self.drawn(frames))
+
+    def at_start(self, x: Array, mass: Array, weight: Array, stored: float = 0.0) -> tuple[Moment, Account]:
+        """Nodes of masses (n,) in N s2/mm and weights (n, d) in N at rest at x (n, d), the last ones balls as they are
+        thrown, at t = 0, and their account."""
+        v = np.zeros_like(x)
+        v[len(v) - len(self.balls) :] = np.array([ball.velocity for ball in self.balls]).reshape(-1, x.shape[1])
+        return Moment(0.0, x, v), Account(kinetic_energy(mass, v), -float((weight * x).sum()), stored)
 
     def at(self, t: float) -> A:
         """What acts at a time; made anew only where something has changed."""
@@ -177,7 +179,11 @@ class Mover(ABC, Generic[F, A]):
         return self.acting
 
     def solve(self, start: F | None = None) -> Run[F]:
-        """The frames until the run ends, a step fails or Ctrl-C stops it, from the beginning or a frame of a run."""
+        """The scene over its duration, from its beginning or from a frame of a run before.
+
+        InputError for what cannot begin, NotConverged if what it begins with at rest is no answer. A step that fails
+        ends the run with a status; the frames so far are kept, as they are when Ctrl-C stops it.
+        """
         begin, kept = time.perf_counter(), list[F]()
         status: End = "converged"
         message = "every step is solved"
@@ -190,7 +196,7 @@ class Mover(ABC, Generic[F, A]):
             if not kept:
                 raise
             status, message = "stopped", f"stopped after {kept[-1].moment.t:.6g} s; the steps so far are kept"
-        return Run(self.scene, tuple(kept), status, message, time.perf_counter() - begin)
+        return Run(tuple(kept), status, message, time.perf_counter() - begin)
 
     def frames(self, start: F | None = None) -> Iterator[F]:
         """The frames of `solve`, each as soon as it is known; the first one is that at the start.

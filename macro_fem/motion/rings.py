@@ -6,16 +6,17 @@ centres of balls.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from macro_fem.motion.pace import Failed, Frame, Mover, Run
+from macro_fem.motion.pace import Failed, Frame, Mover
 from macro_fem.motion.stage import TONNE, relative_wind, scene_at
-from macro_fem.motion.step import Account, Forces, Moment, Worked, difference, kinetic_energy, next_account
+from macro_fem.motion.step import Account, Forces, Moment, Worked, difference, next_account
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
 from macro_fem.scene.loads import PER_MM2, areal_mass
@@ -32,10 +33,9 @@ from rve import (
 )
 from rve.common import Array, InputError, NotConverged
 from rve.common.drawing.plane import new_figure, save_figure
-from rve.common.drawing.space import compose, new_plotter
+from rve.common.drawing.space import new_plotter
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from pyvista import Plotter
 
 HALVINGS = 6
@@ -45,7 +45,7 @@ JUST_AFTER = 1e-9
 NEAR = 1e-6
 """Rings within this part of r1 of where supports hold them are there."""
 CONTACTS = ("pairs", "normal", "force", "gap")
-"""What motion.npz has of the contacts of all frames, one after the other."""
+"""What motion.npz has of the contacts of a frame."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -61,25 +61,16 @@ class RingFrame(Frame):
         return rings.centre, rings.mesh.area, rings.reaction, rings.kkt_residual
 
 
-RingRun = Run[RingFrame]
-
-
-def solve_ring_motion(scene: Scene, who: EveryRing | None = None, start: RingFrame | None = None) -> RingRun:
-    """Every ring of the scene over the duration of [motion], from rest or from a frame of a run before.
-
-    start = "hung": the rings in equilibrium under loads and moves at t = 0; "reference": the slack weave. InputError
-    for what cannot begin, NotConverged where there is no such equilibrium. A step that fails ends the run with a
-    status; the frames so far are kept, as they are when Ctrl-C stops it.
-    """
-    return MovingRings(scene, who or EveryRing()).solve(start)
-
-
 class MovingRings(Mover[RingFrame, RingScene]):
-    """Every ring of a scene, and its balls; what acts on it is what rings are asked for."""
+    """Every ring of a scene, and its balls; what acts on it is what rings are asked for.
 
-    def __init__(self, scene: Scene, who: EveryRing) -> None:
+    start = "hung" of [motion]: rings in equilibrium under loads and moves at t = 0; "reference": the slack weave.
+    """
+
+    def __init__(self, scene: Scene, who: EveryRing | None = None) -> None:
         super().__init__(scene)
-        self.who, self.first = who, ring_scene(scene_at(scene, 0.0), who.rings)
+        self.who = who or EveryRing()
+        self.first = ring_scene(scene_at(scene, 0.0), self.who.rings)
         self.what, self.size = f"{len(self.first.mesh.X)} rings", float(np.hypot(*np.ptp(self.first.mesh.X, axis=0)))
         g = np.array(self.first.scene.load.acceleration)
         weights = [tuple((ball.mass * g).tolist()) for ball in self.balls]
@@ -87,7 +78,6 @@ class MovingRings(Mover[RingFrame, RingScene]):
         self.bodies = tuple(RoundBody(ball.at, ball.radius, weight, ball.name) for ball, weight in pairs)
 
     def act(self, t: float) -> RingScene:
-        assert self.first.info is not None
         return with_loads(scene_at(self.scene, t), self.first.info, self.first.mesh, self.released)
 
     def masses(self, asked: RingScene) -> Array:
@@ -99,6 +89,11 @@ class MovingRings(Mover[RingFrame, RingScene]):
         """Weights (2 n + b, 3) of what `ring_places` are the places of, N."""
         own = asked.mass[:, None] * np.array(asked.scene.load.acceleration)
         return np.concatenate([own, np.zeros_like(own), np.array([one.load for one in self.bodies]).reshape(-1, 3)])
+
+    @cached_property
+    def slack(self) -> FiniteSolution:
+        """The slack weave beside nothing."""
+        return slack_rings(self.first.mesh, space=self.who.space)
 
     def first_frame(self) -> RingFrame:
         if self.motion.start == "reference":
@@ -140,11 +135,8 @@ class MovingRings(Mover[RingFrame, RingScene]):
             raise InputError(
                 f"{self.scene.source}: [[body]]: rings are inside a body at the start; put it farther away"
             )
-        places, n = ring_places(rings), 2 * len(asked.mass)
-        v = np.concatenate([np.zeros((n, 3)), np.array([ball.velocity for ball in self.balls]).reshape(-1, 3)])
-        potential = -float((self.weights(asked) * places).sum())
-        account = Account(kinetic_energy(self.masses(asked), v), potential)
-        return RingFrame(moment=Moment(0.0, places, v), account=account, rings=rings, asked=asked)
+        moment, account = self.at_start(ring_places(rings), self.masses(asked), self.weights(asked))
+        return RingFrame(moment=moment, account=account, rings=rings, asked=asked)
 
     def next_frame(self, frame: RingFrame, before: Moment | None, h: float, halvings: int = HALVINGS) -> RingFrame:
         """The frame after a step h, or after its two halves where it is not solved; Failed where these are not."""
@@ -198,38 +190,29 @@ class MovingRings(Mover[RingFrame, RingScene]):
             "iterations": int(iterations.sum()),
         }
 
-    def pack(self, frames: Sequence[RingFrame]) -> dict[str, Any]:
-        rings = [one.rings for one in frames]
-        told = [(one.contacts.min_gap_mm, one.contacts.links_intact, one.kkt_residual) for one in rings]
-        return {name: np.concatenate([getattr(one.contacts, name) for one in rings]) for name in CONTACTS} | {
-            "count": np.array([len(one.contacts.force) for one in rings]),
-            "forces": np.array([np.concatenate([one.reaction, one.wall_force]) for one in rings]),
-            "told": np.array(told, float),
-        }
+    def pack(self, frame: RingFrame) -> dict[str, Any]:
+        rings, contacts = frame.rings, frame.rings.contacts
+        told = np.array([contacts.min_gap_mm, contacts.links_intact, rings.kkt_residual], float)
+        forces = {"reaction": rings.reaction, "wall_force": rings.wall_force, "told": told}
+        return {name: getattr(contacts, name) for name in CONTACTS} | forces
 
-    def unpack(self, kept: dict[str, Any], moments: Sequence[Moment], accounts: Sequence[Account]) -> list[RingFrame]:
-        mesh, n, frames = self.first.mesh, len(self.first.mesh.X), []
-        slack = with_bodies(slack_rings(mesh, space=self.who.space, walls=self.first.walls), self.bodies)
-        ends = np.cumsum(kept["count"])[:-1]
-        contacts = zip(*(np.split(kept[name], ends) for name in CONTACTS), strict=True)
-        for moment, account, (pairs, normal, force, gaps), forces, (least, intact, residual) in zip(
-            moments, accounts, contacts, kept["forces"], kept["told"], strict=True
-        ):
-            asked, axes = self.at(moment.t), moment.x[n : 2 * n]
-            bodies = [body.moved(place) for body, place in zip(self.bodies, moment.x[2 * n :], strict=True)]
-            rings = replace(
-                slack,
-                centre=moment.x[:n],
-                normal=axes / np.linalg.norm(axes, axis=1)[:, None],
-                load=asked.force,
-                reaction=forces[:n],
-                contacts=RingContacts(pairs, normal, force, gaps, float(least), bool(intact)),
-                walls=(*asked.walls, *bodies),
-                wall_force=forces[n:],
-                kkt_residual=float(residual),
-            )
-            frames.append(RingFrame(moment=moment, account=account, rings=rings, asked=asked))
-        return frames
+    def unpack(self, moment: Moment, account: Account, kept: dict[str, Any]) -> RingFrame:
+        asked, n = self.at(moment.t), len(self.first.mesh.X)
+        axes, (least, intact, residual) = moment.x[n : 2 * n], kept["told"].tolist()
+        contacts = {name: kept[name] for name in CONTACTS}
+        bodies = [body.moved(place) for body, place in zip(self.bodies, moment.x[2 * n :], strict=True)]
+        rings = replace(
+            self.slack,
+            centre=moment.x[:n],
+            normal=axes / np.linalg.norm(axes, axis=1)[:, None],
+            load=asked.force,
+            reaction=kept["reaction"],
+            contacts=RingContacts(**contacts, min_gap_mm=least, links_intact=bool(intact)),
+            walls=(*asked.walls, *bodies),
+            wall_force=kept["wall_force"],
+            kkt_residual=residual,
+        )
+        return RingFrame(moment=moment, account=account, rings=rings, asked=asked)
 
     def write_vtu(self, path: Path, frame: RingFrame) -> None:
         frame.rings.write_vtu(path)
@@ -248,6 +231,3 @@ class MovingRings(Mover[RingFrame, RingScene]):
             yield f"{frame.moment.t:.3f} s", one.draw(plotter, rings)
             plotter.clear_actors()
         plotter.close()
-
-    def figures(self, frames: Sequence[RingFrame]) -> Iterable[Figure]:
-        return (compose(one, words) for words, one in self.drawn(frames))

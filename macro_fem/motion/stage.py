@@ -1,25 +1,34 @@
-"""What acts in a scene in motion at a moment: histories, masses lumped at the nodes, weights, winds."""
+"""What acts in a scene in motion at a moment: histories, masses lumped at the nodes, weights, winds; half-spaces of
+obstacles at their places at the end of a step, of bodies with mass, and of small motions."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+from scipy import sparse
 
 from macro_fem.drag import senses, wind_density, with_wind
 from macro_fem.fem.assembly import load_vector
-from macro_fem.motion.step import Forces, Moment
-from macro_fem.problem import CurtainProblem
+from macro_fem.fem.discretization import Points
+from macro_fem.motion.step import Forces, Moment, Stepped
+from macro_fem.problem import CurtainProblem, placed_obstacles, tangent_walls, touching_walls
 from macro_fem.scene.loads import BREEZE, PER_MM2, areal_mass, bar_masses, breeze, nodal_forces
 from macro_fem.scene.moving import Ball, at_time
-from macro_fem.scene.obstacles import unit
+from macro_fem.scene.obstacles import PlacedObstacle, unit
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Timed, Wind
+from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.cones import green_strain
+from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, InputError
 
 TONNE = 1e-3
 """N s2/mm per kg: with lengths in mm and forces in N."""
+REACH = 2.0
+"""Points farther from a ball than this many times the way that they may go in a step get no half-space."""
+TURN = 1e-6
+"""Step over the size of the curtain in which normals of obstacles are seen to turn."""
 
 
 def scene_at(scene: Scene, t: float) -> Scene:
@@ -99,3 +108,120 @@ def relative_wind(wind: Wind, force: Array, v: Array) -> tuple[Array, Array]:
     if wind.follows:
         return (share * (U - v @ w) / W)[:, None] * force, none
     return (share * U / W)[:, None] * force, (share / W)[:, None, None] * force[:, :, None] * w
+
+
+class Contacts:
+    """Tangent half-spaces of the obstacles of a problem, and of balls whose centres are the last nodes.
+
+    before: the problem at the start of the step, whose obstacles may be elsewhere. way: how far nodes may come towards
+    a ball during the step, mm.
+    """
+
+    def __init__(
+        self,
+        problem: CurtainProblem,
+        balls: tuple[Ball, ...],
+        before: CurtainProblem | None = None,
+        way: float = np.inf,
+    ) -> None:
+        self.problem, self.balls, self.way = problem, balls, way
+        self.near: dict[int, np.ndarray] = {}
+        self.obstacles = placed_obstacles(problem)
+        self.before = {one.number: one for one in placed_obstacles(before)} if before is not None else {}
+        self.n = problem.disc.n_nodes
+
+    def tangents(self, x: Array) -> Walls:
+        """Half-spaces that touch obstacles and balls where they are closest to points of nodes at x (n, d)."""
+        placed = [tangent_walls(one, self.problem.fem, x[: self.n]) for one in self.obstacles]
+        return Walls.joined([*placed, *self._of_balls(x), *self._between(x[self.n :])])
+
+    def _of_balls(self, x: Array) -> list[Walls]:
+        points, found = self.problem.disc.meeting, []
+        at = points.places(x[: self.n])
+        for k, ball in enumerate(self.balls):
+            away = at - x[self.n + k]
+            distance = np.linalg.norm(away, axis=1)
+            near = self.near.setdefault(k, np.flatnonzero(distance < ball.radius + REACH * self.way))
+            node = np.column_stack([points.node[near], np.full(len(near), self.n + k)])
+            share = np.column_stack([points.share[near], np.full(len(near), -1.0)])
+            normal = away[near] / np.maximum(distance[near], 1e-300)[:, None]
+            owner = np.full(len(near), -1 - k)
+            found.append(Walls(Points(node, share), normal, np.full(len(near), ball.radius), owner))
+        return found
+
+    def _between(self, centres: Array) -> list[Walls]:
+        """Half-spaces that keep balls with these centres (b, d) off obstacles and each other."""
+        number = np.arange(len(self.balls))
+        radius = np.array([ball.radius for ball in self.balls])
+        found = list[Walls]()
+        for one in self.obstacles if self.balls else ():
+            at = Points(self.n + number[:, None], np.ones((len(number), 1)))
+            found.append(touching_walls(one, at, centres, radius))
+        i, j = (np.asarray(one) for one in np.triu_indices(len(number), 1))
+        away = centres[i] - centres[j]
+        normal = away / np.maximum(np.linalg.norm(away, axis=1), 1e-300)[:, None]
+        at = Points(self.n + np.column_stack([i, j]), np.tile([1.0, -1.0], (len(i), 1)))
+        return [*found, Walls(at, normal, radius[i] + radius[j], -1 - i)]
+
+    def misses(self, x: Array) -> bool:
+        """Whether points without a half-space are inside a ball at the end x (n, d) of a step."""
+        allowed = TOUCHED * self.problem.mesh.size + 1e-7 * self.way
+        return bool(np.isfinite(self.way)) and max(self.depths(x), default=0.0) > allowed
+
+    def depths(self, x: Array) -> list[float]:
+        """Largest depth of points of the curtain inside each ball, mm; negative where all are outside."""
+        at = self.problem.disc.meeting.places(x[: self.n])
+        pairs = zip(self.balls, x[self.n :], strict=True)
+        return [ball.radius - float(np.linalg.norm(at - centre, axis=1).min()) for ball, centre in pairs]
+
+    def check_start(self, x: Array) -> None:
+        """InputError for a ball that the curtain, an obstacle or another ball is inside of."""
+        met = [(f" {ball.name}: the curtain", deep) for ball, deep in zip(self.balls, self.depths(x), strict=True)]
+        met += [
+            (": an obstacle or another body", -walls.gap(x).min(initial=0.0)) for walls in self._between(x[self.n :])
+        ]
+        for words, deep in met:
+            if deep > TOUCHED * self.problem.mesh.size:
+                raise InputError(
+                    f"{self.problem.scene.source}: [[body]]{words} is {deep:.4g} mm inside it at the start; put it "
+                    f"farther away"
+                )
+
+    def work(self, end: Stepped, x: Array) -> tuple[float, float]:
+        """Pushes times the moves of obstacles along them, and pushes times the gaps at the start x (n, d), N mm."""
+        moved, touched, after = 0.0, 0.0, {one.number: one for one in self.obstacles}
+        for number in np.unique(end.walls.owner):
+            which = np.flatnonzero(end.walls.owner == number)
+            own, push = end.walls.take(which), end.result.wall_forces[which]
+            if number < 0:
+                touched += float(push @ (np.linalg.norm(own.at.places(x), axis=1) - own.offset))
+                continue
+            old: PlacedObstacle | None = self.before.get(int(number))
+            if old is None:
+                continue
+            offset = after[int(number)].offset(own.normal)  # less than a ball's by its radius
+            moved += float(push @ (offset - old.offset(own.normal)))
+            touched += float(push @ (old.gap(own.at.places(x)) - (own.offset - offset)))
+        return moved, touched
+
+
+def pushed_points(solution: CurtainSolution, carries: float) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+    """Of small motions w of the nodes in space (3 n_nodes,): rows normal.w of the points that obstacles push, by more
+    than this part of the largest push, and the matrix of pushes times how the normals turn there, N/mm."""
+    problem, walls, force = solution.problem, solution.problem.walls, solution.wall_forces
+    n = 3 * problem.disc.n_nodes
+    which = np.flatnonzero(force > carries * force.max(initial=0.0))
+    if not len(which):
+        return sparse.csr_matrix((0, n)), sparse.csr_matrix((n, n))
+    walls, force = walls.take(which), force[which]
+    rows = walls.matrix(n // 3)
+    rows = sparse.csr_matrix(sparse.diags(1.0 / sparse.linalg.norm(rows, axis=1)) @ rows)
+    turn, at, step = np.zeros((len(which), 3, 3)), walls.at.places(solution.x), TURN * problem.mesh.size
+    for one in placed_obstacles(problem):
+        own = np.flatnonzero(walls.owner == one.number)
+        for axis, way in enumerate(step * np.eye(3)):
+            turn[own, :, axis] = (one.normal(at[own] + way) - one.normal(at[own] - way)) / (2.0 * step)
+    node, share = walls.at.node, walls.at.share
+    row = np.repeat(np.arange(len(which)), node.shape[1])
+    G = sparse.kron(sparse.csr_matrix((share.ravel(), (row, node.ravel())), shape=(len(which), n // 3)), sparse.eye(3))
+    return rows, sparse.csr_matrix(G.T @ sparse.block_diag(force[:, None, None] * turn) @ G)

@@ -112,6 +112,10 @@ class Forces:
     drag: Array | None = None
     damping: Array | float = 0.0
 
+    def live_at(self, v: Array) -> Array:
+        """Forces (n, d) beside the weight and damping at velocities v (n, d), N."""
+        return self.live if self.drag is None else self.live - times(self.drag, v)
+
 
 @dataclass(frozen=True, eq=False)
 class Moving:
@@ -215,10 +219,7 @@ def support_forces(moving: Moving, change: Difference, forces: Forces, end: Step
     """
     v = change.velocity(end.x)
     rest = moving.mass[:, None] * change.acceleration(end.x) + (forces.damping * moving.mass)[:, None] * v + inner
-    rest = rest - forces.dead - forces.live - end.pushes
-    if forces.drag is not None:
-        rest = rest + (forces.drag @ v[:, :, None])[:, :, 0]
-    return np.where(moving.fem.held, rest, 0.0)
+    return np.where(moving.fem.held, rest - forces.dead - forces.live_at(v) - end.pushes, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +243,6 @@ def next_account(
 ) -> Account:
     """The account after a step of masses (n,) from `now` to positions x (n, d)."""
     dx, v, a = x - now.x, change.velocity(x), change.acceleration(x)
-    live = forces.live if forces.drag is None else forces.live - (forces.drag @ v[:, :, None])[:, :, 0]
     kinetic, resist = kinetic_energy(mass, v), forces.damping * mass
     damped = 2.0 * change.h * kinetic_energy(resist, v)
     dashpot = float((resist[:, None] * v * dx).sum())
@@ -251,7 +251,7 @@ def next_account(
         kinetic=kinetic,
         potential=last.potential - float((forces.dead * dx).sum()),
         stored=last.stored + (worked.stored or 0.0),
-        work=last.work + float(((live + worked.supports) * dx).sum()) + worked.moved,
+        work=last.work + float(((forces.live_at(v) + worked.supports) * dx).sum()) + worked.moved,
         lost_by_scheme=last.lost_by_scheme
         + float((mass[:, None] * a * dx).sum())
         - (kinetic - kinetic_energy(mass, now.v))

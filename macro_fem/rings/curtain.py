@@ -6,6 +6,7 @@ Both come from an answer in memory, or from the files of `macro_fem run`.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -84,6 +85,14 @@ class Curtain:
     state: NDArray[np.intp]
     told: Told = Told(0.0, None)
     source: str = "a curtain in memory"
+
+    @cached_property
+    def F(self) -> Array:
+        """Deformation gradients (t, d, 2) of the triangles."""
+        dX, dx = (
+            (one[:, 1:] - one[:, :1]).transpose(0, 2, 1) for one in (self.X[self.triangles], self.x[self.triangles])
+        )
+        return np.asarray(dx @ np.linalg.inv(dX))
 
 
 def curtain_of(mesh: Any, told: Told, source: str) -> Curtain:

@@ -57,10 +57,10 @@ class RingScene:
     groups: tuple[tuple[str, np.ndarray], ...]
     pins: Sliding
     mass: Array
+    info: CellInfo
     walls: tuple[HalfSpace, ...] = ()
     winds: tuple[tuple[Wind, Array], ...] = ()
     notes: tuple[str, ...] = ()
-    info: CellInfo | None = None
 
     def solve(
         self, *, space: bool, disk: CurtainSolution | None = None, options: FiniteOptions | None = None
@@ -120,7 +120,7 @@ def ring_scene(scene: Scene, rings: Cell | MembraneLaw | None = None) -> RingSce
     if info is None:
         raise InputError(f"{scene.source}: the law has no rings; take one that was fitted to a table of rings")
     if scene.motion is not None:
-        raise InputError(f"{scene.source}: [motion]: is for rings over time, use macro_fem rings or solve_ring_motion")
+        raise InputError(f"{scene.source}: [motion]: is for rings over time, use macro_fem rings or MovingRings")
     if any(wind.follows for wind in scene.of(Wind)):
         raise InputError(f"{scene.source}: follows = true of [load.wind]: is not for every ring")
     round_ = [item.name for item in scene.of(Body)]
@@ -217,4 +217,4 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
         walls.append(HalfSpace(tuple(m[0].tolist()), offset, item.name))
     pins = Sliding(ring[supports.pins.nodes], in_space_of(supports.pins.direction, 3))
     mesh = replace(mesh, bars=tuple(bars))
-    return RingScene(scene, mesh, force, held, at, tuple(groups), pins, mass, tuple(walls), tuple(winds), notes, info)
+    return RingScene(scene, mesh, force, held, at, tuple(groups), pins, mass, info, tuple(walls), tuple(winds), notes)

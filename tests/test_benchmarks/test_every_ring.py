@@ -13,7 +13,7 @@ from benchmarks.every_ring.cell import edge_forces
 from benchmarks.every_ring.hooks import peak
 from benchmarks.every_ring.starts import random_start
 from macro_fem import Motion
-from macro_fem.motion.rings import solve_ring_motion
+from macro_fem.motion.rings import MovingRings
 from macro_fem.rings.ring_scene import ring_scene
 from rve import Cell, FiniteMesh, pulled_ring
 from rve.common.materials import STEEL
@@ -43,7 +43,7 @@ def test_edge_forces_are_those_of_the_line_load():
 def test_413_rings_let_go_at_a_corner_pass_the_steps_whose_contacts_split_and_merge():
     """At one number of force x gap the step to 0.065 s does not converge, whichever number it is."""
     scene = replace(let_go.motion_scene(let_go.SCENES[0], 4), motion=Motion(0.07, let_go.STEP))
-    run = solve_ring_motion(scene)
+    run = MovingRings(scene).solve()
     assert (run.status, len(run.frames)) == ("converged", 15)
     assert all(frame.rings.contacts.links_intact and frame.rings.contacts.min_gap_mm > 0.0 for frame in run.frames)
     assert max(abs(frame.account.balance - run.frames[0].account.balance) for frame in run.frames) < 1e-8

@@ -127,10 +127,10 @@ class _Found:
 def gradient_matrix(fem: SupportedFem) -> sparse.csr_matrix:
     """B (nq d 2, n): free unknowns to flat deformation gradients."""
     disc, d = fem.disc, fem.d
-    n_points, n_local = disc.n_points, disc.dofs.shape[1]
-    point = np.repeat(np.arange(n_points), n_local)
+    n_points, dofs = disc.n_points, np.tile(disc.cell_dofs, (disc.n_quad, 1))
+    point = np.repeat(np.arange(n_points), dofs.shape[1])
     scalar = [
-        sparse.csr_matrix((disc.grad[:, :, j].ravel(), (point, disc.dofs.ravel())), shape=(n_points, disc.n_nodes))
+        sparse.csr_matrix((disc.grad[:, :, j].ravel(), (point, dofs.ravel())), shape=(n_points, disc.n_nodes))
         for j in range(2)
     ]
     rows, columns, values = [], [], []

@@ -25,7 +25,7 @@ def plain_stiffness(disc, A):
     d = A.shape[1]
     K = np.zeros((disc.n_nodes * d,) * 2)
     for p in range(disc.n_points):
-        g, nodes = disc.grad[p], disc.dofs[p]
+        g, nodes = disc.grad[p], disc.cell_dofs[p % disc.n_cells]
         block = disc.weight[p] * np.einsum("aj,ijkl,bl->aibk", g, A[p], g).reshape(len(nodes) * d, -1)
         rows = (nodes[:, None] * d + np.arange(d)).ravel()
         K[np.ix_(rows, rows)] += block
@@ -54,7 +54,7 @@ def test_forces_and_stiffness_are_plain_sums(element, d):
     disc = discretize(distorted(), element)
     P = rng.standard_normal((disc.n_points, d, 2))
     f = np.zeros((disc.n_nodes, d))
-    np.add.at(f, disc.dofs, np.einsum("p,pij,paj->pai", disc.weight, P, disc.grad))
+    np.add.at(f, np.tile(disc.cell_dofs, (disc.n_quad, 1)), np.einsum("p,pij,paj->pai", disc.weight, P, disc.grad))
     np.testing.assert_allclose(internal_force(disc, P), f, atol=1e-13)
     A = symmetric_tangents(rng, disc.n_points, d)
     K = plain_stiffness(disc, A)

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from macro_fem.cli import main
 from macro_fem.rings.curtain import Curtain, Told, curtain_of
-from macro_fem.rings.places import find_sites, place_rings, turns
+from macro_fem.rings.localize import find_sites, place_rings, turns
 from rve.common.meshes import DISPLACEMENT, LINE_LOAD_1, STATE, STRAIN, STRESS
 from rve.drawn import ALONG, AROUND, DrawnRings
 from rve.geometry.cell import Cell

@@ -8,9 +8,10 @@ import pytest
 
 from homogenize import default_law
 from macro_fem.fem.assembly import gradient
-from macro_fem.motion.contact import Contacts
-from macro_fem.motion.curtain import solve_motion
+from macro_fem.motion.curtain import MovingCurtain
 from macro_fem.motion.files import account_error
+from macro_fem.motion.stage import Contacts
+from macro_fem.scene.moving import Ball
 from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.cones import green_strain
 
@@ -51,17 +52,17 @@ def draw(seed):
 
 
 def run(tables, step):
-    return solve_motion(read_scene(tables | {"motion": tables["motion"] | {"step": step}}), LAW)
+    return MovingCurtain(read_scene(tables | {"motion": tables["motion"] | {"step": step}}), LAW).solve()
 
 
-def check(found):
+def check(found, tables):
     """Gap and account of every step; no node in a body, below a floor, or stretched beyond the law."""
     rows = np.array([frame.row for frame in found.frames])
     assert rows[:, -1].max() <= 1e-6
     assert account_error(rows) < 1e-7  # largest: 1.04e-8, of steps that are solved to a gap of 1e-10
     for frame in found.frames:
         problem, n = frame.problem, frame.problem.disc.n_nodes
-        assert max(Contacts(problem, found.bodies, None).depths(frame.moment.x), default=0.0) < 1e-5
+        assert max(Contacts(problem, read_scene(tables).of(Ball), None).depths(frame.moment.x), default=0.0) < 1e-5
         for obstacle in problem.scene.obstacle:
             assert frame.moment.x[:n, 1].min() >= obstacle.height - 1e-5
         if problem.scene.solver.kind != "elastic":
@@ -82,7 +83,7 @@ def test_smaller_steps_come_closer():
         for k in (1, 2, 4, 8):
             found = run(tables, 0.01 / k)
             assert found.status == "converged", f"{seed}: {found.message}"
-            places.append(check(found)[::k, 1:4])
+            places.append(check(found, tables)[::k, 1:4])
         errors = [np.abs(one - places[-1]).max() for one in places[:-1]]
         assert errors[-1] < errors[0] or errors[0] < 1e-6, f"{seed}: {errors}"
         steadily += all(fine < coarse or coarse < 1e-6 for coarse, fine in pairwise(errors))
@@ -102,14 +103,14 @@ def test_300_large_steps_end_with_a_status(block):
         assert found.status in ("converged", "stalled", "infeasible"), seed
         assert found.message
         if found.status == "converged":
-            check(found)
+            check(found, tables)
 
 
 @pytest.mark.parametrize("seed", [1003, 1023, 1028])
 def test_the_account_closes_where_tangents_of_a_ball_still_turn(seed):
     tables = draw(seed)
     tables["motion"] |= {"duration": 0.1}
-    check(run(tables, 0.05))
+    check(run(tables, 0.05), tables)
 
 
 def test_an_elastic_sheet_that_nothing_holds_any_more_falls_in_the_wind():
@@ -118,4 +119,4 @@ def test_an_elastic_sheet_that_nothing_holds_any_more_falls_in_the_wind():
         tables = draw(seed)
         tables["support"] = {"kind": "top", "gather": 0.95, "release": 0.0}
         tables["solver"] |= {"kind": "elastic"}
-        check(run(tables, 0.025))
+        check(run(tables, 0.025), tables)

@@ -15,7 +15,7 @@ from homogenize import default_law
 from macro_fem.cli import main
 from macro_fem.curtain import solve_scene
 from macro_fem.motion import files, pace
-from macro_fem.motion.curtain import MovingCurtain, solve_motion
+from macro_fem.motion.curtain import MovingCurtain
 from macro_fem.motion.files import account_error
 from macro_fem.motion.modes import find_modes
 from macro_fem.motion.pace import COLUMNS
@@ -23,6 +23,7 @@ from macro_fem.motion.stage import masses_of, scene_at
 from macro_fem.motion.step import Moment, kinetic_energy
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.loads import wind_pressure
+from macro_fem.scene.moving import Ball
 from macro_fem.scene.schema import read_scene
 from rve.common.errors import InputError
 
@@ -41,7 +42,7 @@ motion = {duration = 0.06, step = 0.01}
 
 def moved(tables):
     """The run of a scene, its rows, and the names of its columns; every step is solved and its account closes."""
-    found = solve_motion(read_scene(SHEET | tables), default_law())
+    found = MovingCurtain(read_scene(SHEET | tables), default_law()).solve()
     assert found.status == "converged", found.message
     rows = np.array([frame.row for frame in found.frames])
     assert account_error(rows) < 1e-8
@@ -127,8 +128,9 @@ def test_a_falling_sheet_comes_to_rest_on_the_floor():
 def test_a_ball_thrown_into_a_loose_sheet_keeps_momentum():
     body = {"kind": "sphere", "radius": 80.0, "mass": 0.3, "at": [200.0, 200.0, 85.0], "velocity": [0.0, 0.0, -2000.0]}
     motion = {"duration": 0.03, "step": 0.005, "start": "reference"}
-    found, _ = moved(FREE | {"load": {"gravity": 0.0}, "body": body, "motion": motion})
-    masses = masses_of(found.frames[0].problem, found.bodies)
+    tables = FREE | {"load": {"gravity": 0.0}, "body": body, "motion": motion}
+    found, _ = moved(tables)
+    masses = masses_of(found.frames[0].problem, read_scene(SHEET | tables).of(Ball))
     momenta = np.array([masses @ frame.moment.v for frame in found.frames])
     assert np.abs(momenta - momenta[0]).max() < 1e-10 * np.abs(momenta[0]).max()
     assert found.frames[-1].moment.v[-1, 2] > -1950.0
@@ -151,7 +153,7 @@ def test_a_history_draws_the_curtain_along_its_track():
     drawing = track | {"history": [[0.0, 1.0], [0.2, 0.5]], "side": "end"}
     scene = read_scene(SHEET | {"support": drawing, "motion": {"duration": 0.2, "step": 0.02}})
     assert scene_at(scene, 0.1).support[0].drawn == pytest.approx(0.75)
-    found = solve_motion(scene, default_law())
+    found = MovingCurtain(scene, default_law()).solve()
     assert found.status == "converged"
     held = [frame.problem.supports for frame in found.frames]
     wide = [np.ptp(one.positions[one.mask.any(axis=1), 0]) for one in held]
@@ -234,10 +236,11 @@ def test_modes_prints_one_object_with_ascending_frequencies(tmp_path):
 def thrown(tables, velocity, duration, step):
     """The run of a scene that begins with these velocities (n_nodes, 3) in mm/s."""
     scene = read_scene(tables | {"motion": tables.get("motion", {}) | {"duration": duration, "step": step}})
-    first = MovingCurtain(scene, default_law()).first_frame()
+    moving = MovingCurtain(scene, default_law())
+    first = moving.first_frame()
     energy = kinetic_energy(masses_of(first.problem, ()), velocity)
     first = replace(first, account=replace(first.account, kinetic=energy), pace=pace.Pace(step))
-    found = solve_motion(scene, default_law(), replace(first, moment=Moment(0.0, first.moment.x, velocity)))
+    found = moving.solve(replace(first, moment=Moment(0.0, first.moment.x, velocity)))
     assert found.status == "converged", found.message
     return found
 

@@ -6,7 +6,7 @@ import pytest
 
 from homogenize import default_law
 from macro_fem import read_scene, solve
-from macro_fem.motion.curtain import solve_motion
+from macro_fem.motion.curtain import MovingCurtain
 from rve.common.errors import InputError
 
 BASE = """
@@ -116,9 +116,13 @@ def test_what_a_scene_may_not_say_is_one_sentence(lines, sentence):
     for key, value in change.items():
         joined = key in ("curtain", "mesh") and "shape" not in value
         tables[key] = tables[key] | value if joined else value
-    answer = solve_motion if "motion" in tables else solve
+
+    def answer():
+        scene = read_scene(tables, "front.toml")
+        return MovingCurtain(scene, default_law()).solve() if "motion" in tables else solve(scene, default_law())
+
     with pytest.raises(InputError) as error:
-        answer(read_scene(tables, "front.toml"), default_law())
+        answer()
     assert str(error.value).startswith("front.toml: ")
     assert sentence in str(error.value)
     assert "\n" not in str(error.value)

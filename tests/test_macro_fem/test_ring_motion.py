@@ -12,7 +12,7 @@ from homogenize import default_law
 from macro_fem.cli import main
 from macro_fem.motion.files import account_error
 from macro_fem.motion.pace import COLUMNS
-from macro_fem.motion.rings import MovingRings, solve_ring_motion
+from macro_fem.motion.rings import MovingRings
 from macro_fem.motion.stage import TONNE
 from macro_fem.motion.step import Moment
 from macro_fem.rings.every_ring import EveryRing
@@ -35,7 +35,7 @@ CORNERS = [
 
 def moved(tables, *, space=True):
     """The run of a scene and its rows by name: every step is solved, the account closes, no link and no gap is lost."""
-    found = solve_ring_motion(read_scene(CURTAIN | tables), EveryRing(space=space))
+    found = MovingRings(read_scene(CURTAIN | tables), EveryRing(space=space)).solve()
     assert found.status == "converged", found.message
     rows = np.array([frame.row for frame in found.frames])
     assert account_error(rows) < 1e-8
@@ -177,7 +177,7 @@ def test_wind_with_a_speed_acts_by_the_velocity_relative_to_the_rings():
 )
 def test_what_rings_in_motion_cannot_do_is_refused_in_a_sentence(tables, says):
     with pytest.raises(InputError, match=says) as error:
-        solve_ring_motion(read_scene(CURTAIN | tables))
+        MovingRings(read_scene(CURTAIN | tables)).solve()
     assert "\n" not in str(error.value)
 
 
