@@ -61,7 +61,7 @@ def solve_convex(problem: CurtainProblem, start: CurtainSolution | None = None) 
     if start is not None and is_alike(problem.fem, start.problem.fem):
         problem = replace(problem, fem=start.problem.fem.moved(problem.fem.x_held))
     reach, relaxation = supports_reach(problem, start), None
-    if is_elastic(problem.scene) and reach.is_out:
+    if problem.scene.solver.is_elastic and reach.is_out:
         # More than the loads stretch its rings would be the elasticity of rings beyond what the law was made for.
         line_load = float(np.abs(problem.force).sum()) * problem.mesh.size / float(problem.disc.weight.sum())
         if reach.excess < line_load * float(np.trace(problem.law.compliance)) / 3.0:
@@ -113,11 +113,6 @@ def is_alike(one: SupportedFem, other: SupportedFem) -> bool:
     return one.tie.shape == other.tie.shape and (one.tie != other.tie).nnz == 0
 
 
-def is_elastic(scene: Scene) -> bool:
-    """Whether the scene asks for elastic rings instead of ideal locking."""
-    return scene.solver.kind == "elastic"
-
-
 def supports_reach(problem: CurtainProblem, start: CurtainSolution | None = None) -> Reach:
     """How much farther apart the supports could be; that of the curtain before where it has not changed."""
     fem = problem.fem
@@ -139,7 +134,7 @@ def _solve_within_reach(
     tension = problem.fem.force(stabilising_tension(problem) * unit_tensors(problem))
     violation = max(PathOptions.violation, COUNTED * spec.tolerance)
     options = PathOptions(gap=spec.tolerance, violation=violation, max_iterations=spec.max_iterations, cones=cones)
-    if is_elastic(problem.scene):
+    if problem.scene.solver.is_elastic:
         law = problem.elastic_law
         terms = Terms(law.compliance, tension, problem.walls)
         return solve_path(problem.fem, law, load, z, size, replace(options, least_gap=ELASTIC_GAP), terms), None
@@ -156,7 +151,7 @@ def make_solution(
     problem: CurtainProblem, result: PathResult, reach: Reach, relaxation: float | None
 ) -> CurtainSolution:
     """The record, the dual value of the spread problem made a bound for the load's own potential."""
-    fem, elastic = problem.fem, is_elastic(problem.scene)
+    fem, elastic = problem.fem, problem.scene.solver.is_elastic
     x, F = fem.positions(result.z), fem.gradient(result.z)
     tension = 0.0 if elastic else stabilising_tension(problem)
     work = float((problem.force * (x - fem.reference)).sum())

@@ -78,7 +78,7 @@ def make_problem(
         disc = discretize(mesh.mesh, scene.mesh.element)
     except ValueError as error:
         raise InputError(f"{scene.source}: [mesh] {error}") from error
-    if scene.solver.kind == "elastic" and not law.compliance.any():
+    if scene.solver.is_elastic and not law.compliance.any():
         raise InputError(
             f"{scene.source}: [solver] kind = 'elastic': a law of kind {law.name} is inextensible, use kind = 'rigid'"
         )

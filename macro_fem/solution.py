@@ -63,7 +63,7 @@ class CurtainSolution(Judged):
     @property
     def elastic(self) -> bool:
         """Whether P is the stress of the elastic law, else of ideal locking."""
-        return self.problem.scene.solver.kind == "elastic"
+        return self.problem.scene.solver.is_elastic
 
     @cached_property
     def F(self) -> Array:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from homogenize import MembraneLaw, with_material
-from macro_fem.curtain import is_alike, is_elastic, solve_problem
+from macro_fem.curtain import is_alike, solve_problem
 from macro_fem.fem.assembly import gradient, internal_force, load_vector
 from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
@@ -81,7 +81,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         self.law = with_material(law, dict(scene.material), f"{scene.source}: [material]")
         self.mesh = build_mesh(scene_at(scene, 0.0), self.law.cell)
         self.what, self.size = f"{self.mesh.mesh.t.shape[1]} cells", self.mesh.size
-        self.is_rigid = not is_elastic(scene)
+        self.is_rigid = not scene.solver.is_elastic
 
     def act(self, t: float) -> tuple[CurtainProblem, SupportedFem]:
         problem = make_problem(scene_at(self.scene, t), self.law, self.mesh, released=self.released)

@@ -34,7 +34,7 @@ def _contradictions(scene: Scene) -> Iterator[str]:
     if not scene.support and scene.motion is None:
         yield "[support]: is missing, so nothing holds the curtain"
     if pattern != "aligned" and (not isinstance(shape, Rectangle) or shape.holes):
-        what = f'shape = "{shape.shape}"' if not isinstance(shape, Rectangle) else "holes"
+        what = f'shape = "{shape.kind}"' if not isinstance(shape, Rectangle) else "holes"
         yield f"[mesh] pattern = {pattern!r}: has no effect with {what}"
     for item in scene.support:
         held, move = getattr(item, "held", "both"), getattr(item, "move", NO_MOVE)
@@ -89,7 +89,7 @@ def _of_combinations(scene: Scene) -> Iterator[str]:
 def check_bounds(scene: Scene, by: str) -> None:
     """InputError if a scene is one whose curtain cannot be bounded; `by`: the words that asked for bounds."""
     where, solver = f"{scene.source}: {by}", scene.solver
-    if solver.kind == "elastic":
+    if solver.is_elastic:
         raise InputError(f"{where} need rings that lock, [solver] kind = 'rigid' or 'auto', not 'elastic'")
     if any(wind.follows for wind in scene.of(Wind)):
         raise InputError(f"{where} do not go with following pressure, no dead load")

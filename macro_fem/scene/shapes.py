@@ -9,26 +9,20 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from msgspec import Meta
 
-from macro_fem.scene.tables import MAX_CORNERS, MAX_ENTRIES, Degrees, Length, Name, Polygon
+from macro_fem.scene.tables import MAX_CORNERS, MAX_ENTRIES, Degrees, Entry, Length, Name, Polygon
 from rve.common import Array, Typed, shown
 
 WEAVE_ANGLES = {"y": 0.0, "x": 90.0}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shape(Typed):
+class Shape(Entry):
     """The sheet. `weave_angle`: degrees from the vertical to the weave's y axis; "y" is read as 0, "x" as 90."""
 
-    kinds: ClassVar[dict[str, type[Shape]]] = {}
-    shape: ClassVar[str]
+    kinds: ClassVar[dict[str, type[Any]]] = {}
     holes: Annotated[tuple[Polygon, ...], Meta(max_length=MAX_ENTRIES)] = ()
     weave_angle: Degrees = 0.0
     areal_mass: Annotated[float, Meta(ge=0.0, le=1e6)] | None = None
-
-    def __init_subclass__(cls, shape: str, **more: Any) -> None:
-        """Make the shape known to scene files."""
-        super().__init_subclass__(**more)
-        cls.shape, Shape.kinds[shape] = shape, cls
 
     def __post_init__(self) -> None:
         """Axes of the weave become angles, then every field is checked."""
@@ -49,7 +43,7 @@ class Shape(Typed):
 
 
 @dataclass(frozen=True)
-class Rectangle(Shape, shape="rectangle"):
+class Rectangle(Shape, kind="rectangle"):
     """A rectangle of mesh."""
 
     width: Length
@@ -61,7 +55,7 @@ class Rectangle(Shape, shape="rectangle"):
 
 
 @dataclass(frozen=True)
-class Disk(Shape, shape="disk"):
+class Disk(Shape, kind="disk"):
     """A disk around (0, 0)."""
 
     radius: Length
@@ -75,7 +69,7 @@ class Disk(Shape, shape="disk"):
 
 
 @dataclass(frozen=True)
-class Outline(Shape, shape="outline"):
+class Outline(Shape, kind="outline"):
     """A polygon by its corners in order."""
 
     outline: Polygon
@@ -85,7 +79,7 @@ class Outline(Shape, shape="outline"):
 
 
 @dataclass(frozen=True)
-class MeshFile(Shape, shape="file"):
+class MeshFile(Shape, kind="file"):
     """A mesh file, Gmsh's .msh or .vtu; its path begins at the folder of the scene file."""
 
     file: Name

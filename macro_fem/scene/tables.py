@@ -69,20 +69,25 @@ def leaves_plane(v: Vector) -> bool:
     return in_3d(v)[2] != 0.0
 
 
-class Item(Typed):
+class Entry(Typed):
+    """A record of a scene file whose class files name by a word."""
+
+    kinds: ClassVar[dict[str, type[Any]]]
+    """The classes of a list or table by what files call them."""
+    kind: ClassVar[str]
+
+    def __init_subclass__(cls, kind: str = "") -> None:
+        """Make the kind known to scene files."""
+        super().__init_subclass__()
+        if kind:
+            cls.kind, cls.kinds[kind] = kind, cls
+
+
+class Item(Entry):
     """Something that holds, loads or meets the curtain, an entry of one of the lists of a scene file."""
 
     table: ClassVar[str]
     """The list of a scene file that holds such entries."""
-    kinds: ClassVar[dict[str, type[Any]]]
-    """The classes of this list by the `kind` that files call them."""
-    kind: ClassVar[str]
-
-    def __init_subclass__(cls, kind: str = "", **more: Any) -> None:
-        """Make the kind known to scene files."""
-        super().__init_subclass__(**more)
-        if kind:
-            cls.kind, cls.kinds[kind] = kind, cls
 
     @property
     def where(self) -> str:
@@ -114,15 +119,8 @@ class LiveLoad(Timed):
     """A load besides the weight of the mesh; it grows over the load steps, unless it is the weight of a bar."""
 
     kinds: ClassVar[dict[str, type[Any]]] = {}
-
-    def __init_subclass__(cls, kind: str = "", **more: Any) -> None:
-        """Each kind is a list of its own."""
-        super().__init_subclass__(kind, **more)
-        cls.table = f"load.{kind}"
-
-    @property
-    def where(self) -> str:
-        return f"[{self.table}]"
+    table = property(lambda self: f"load.{self.kind}")
+    where = property(lambda self: f"[{self.table}]")
 
 
 @dataclass(frozen=True)
@@ -253,6 +251,11 @@ class Solver(Typed):
     bounds: bool = False
     adapt: Annotated[int, Meta(ge=0, le=12)] = 0
     space: bool = False
+
+    @property
+    def is_elastic(self) -> bool:
+        """Whether elastic rings are asked for, instead of ideal locking."""
+        return self.kind == "elastic"
 
     @property
     def is_bounded(self) -> bool:
