@@ -12,7 +12,7 @@ import numpy as np
 
 from rve.common import Array, Index
 from rve.common.tensor import double_dot, trace
-from rve.equilibrium.interior_point import NEVER, DirectOptions, Equilibrium, follow, unit_loads
+from rve.equilibrium.interior_point import NEVER, DirectOptions, Equilibrium, solve_equilibrium, unit_loads
 from rve.equilibrium.limits import shortest
 from rve.equilibrium.system import Equations, on_coordinates
 from rve.geometry.cell import Cell, weave_sides
@@ -86,11 +86,11 @@ def solve_dead(S: Array, equations: Equations, options: DirectOptions, start: Po
     the cell along a curved valley, which steps with second-order corrections follow: they are tried next.
     """
     first = _unrejected(options, shrink=0.3, max_iterations=options.max_iterations + 50)
-    found = follow(unit_loads(S), equations, first, start)
+    found = solve_equilibrium(S, equations, first, start)
     left = np.flatnonzero(found.status != "converged")
     if len(left) and options.attempts > 1:
         slower = replace(_patient(options), attempts=2, max_iterations=2 * options.max_iterations)
-        again = follow(unit_loads(S[left]), equations, slower, None if start is None else start.take(left))
+        again = solve_equilibrium(S[left], equations, slower, None if start is None else start.take(left))
         found = found.put(left, replace(again, attempts=again.attempts + 1))
     return found
 
@@ -130,7 +130,7 @@ def restart(loads: Array, equations: Equations, start: Pose, margin: float, opti
     """Locked states under `loads` (n, 3) from the locked poses `start`, whose gaps are first opened to `margin`."""
     least, most = max(options.tolerance, TOLERANCE), min(90, options.max_iterations)
     near = _unrejected(options, mu_start=margin, shrink=0.3, max_iterations=most, tolerance=least)
-    return follow(unit_loads(loads), equations, near, open_gaps(start, equations, margin, options.reach))
+    return solve_equilibrium(loads, equations, near, open_gaps(start, equations, margin, options.reach))
 
 
 def restart_patiently(
@@ -142,7 +142,7 @@ def restart_patiently(
     if len(left) and options.max_iterations:
         slower = replace(_patient(options), mu_start=MARGINS[1], max_iterations=200)
         opened = open_gaps(start.take(left), equations, MARGINS[1], options.reach)
-        found = found.put(left, follow(unit_loads(loads[left]), equations, slower, opened))
+        found = found.put(left, solve_equilibrium(loads[left], equations, slower, opened))
     return found
 
 

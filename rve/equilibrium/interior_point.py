@@ -207,10 +207,13 @@ def iterate_to_end(state: PathState, equations: Equations, options: DirectOption
 def solve_equilibrium(
     s: Array, equations: Equations, options: DirectOptions = DirectOptions(), start: Pose | None = None
 ) -> Equilibrium:
-    """Locked poses under the Cauchy line loads s (n, 3), principal values >= 0, any size.
+    """Locked poses under the load of the equations, s being its rows: by default Cauchy line loads (n, 3), principal
+    values >= 0, any size.
 
     Starts from the slack pose of the weave, or from `start` (n poses with positive gaps). A case that does not converge
-    has status "stalled" and keeps its start pose with R = nan; nothing is raised.
+    has status "stalled" and keeps its start pose with R = nan; nothing is raised. Attempts after the first start from
+    disturbed poses, the same for every case and batch; mu falls slowly there, so that cells which move far along a
+    narrow valley are not left behind on its wall, and no step is taken back.
 
     >>> from rve.geometry.kinematics import cauchy_line_load
     >>> from rve.geometry.weave import FOUR_IN_ONE
@@ -218,22 +221,7 @@ def solve_equilibrium(
     >>> (5 * found.pose.lattice[0, :2]).round(6)
     array([11.     , 12.64607])
     """
-    return follow(unit_loads(s), equations, options, start)
-
-
-def unit_loads(s: Array) -> Array:
-    """Line loads (n, 3) scaled to size 1: only their direction counts."""
-    return np.asarray(s / np.sqrt(s[:, :1] ** 2 + 2.0 * s[:, 1:2] ** 2 + s[:, 2:] ** 2))
-
-
-def follow(
-    s: Array, equations: Equations, options: DirectOptions = DirectOptions(), start: Pose | None = None
-) -> Equilibrium:
-    """Equilibria under the load of the equations, `s` being its rows; see `solve_equilibrium`.
-
-    Attempts after the first start from disturbed poses, the same for every case and batch; mu falls slowly there, so
-    that cells which move far along a narrow valley are not left behind on its wall, and no step is taken back.
-    """
+    s = unit_loads(s) if equations.is_relative else s
     first = start if start is not None else start_pose(equations.weave, len(s))
     contacts = equations.contacts(first, options.reach)
     nan, iterations = np.full(len(s), np.nan), np.zeros(len(s), dtype=int)
@@ -268,3 +256,8 @@ def follow(
     total = found.iterations.copy()
     total[left] = iterations
     return replace(found, iterations=total)
+
+
+def unit_loads(s: Array) -> Array:
+    """Line loads (n, 3) scaled to size 1: only their direction counts."""
+    return np.asarray(s / np.sqrt(s[:, :1] ** 2 + 2.0 * s[:, 1:2] ** 2 + s[:, 2:] ** 2))

@@ -117,8 +117,8 @@ class Equations:
     """What does not change during a solve: weave, wire = r2/r1, pair maps, mass matrix, the modes that may move, load.
 
     modes (m, k): motions as combinations of the m reduced coordinates; the identity leaves all of them free.
-    is_relative: residuals are measured against the load, not against 1. idle: contacts with no more force get no
-    curvature in J.
+    is_relative: s are line loads, of which only the directions count, and residuals are measured against them, not
+    against 1. idle: contacts with no more force get no curvature in J.
     """
 
     weave: Weave

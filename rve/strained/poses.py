@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from rve.common import Array, Flags, NotConverged, Rows, part_of
 from rve.common.tensor import WEIGHT, eigenvalues
-from rve.equilibrium.interior_point import DirectOptions, follow
+from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.system import Equations, add_lattice_curvature
 from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.circles import cross, dot, tangent_frame
@@ -165,7 +165,7 @@ def _settled(E: Array, cell: Cell, options: PoseOptions, states: LockedArrangeme
         equations = replace(Equations.of(cell.weave, cell.wire, load=springs), is_relative=False, idle=-1.0)
         quick = replace(options.direct, mu_start=first, mu_end=last, attempts=1, max_iterations=50)
         with part_of(f"stage {stage + 1}", stage / len(_LADDER), (stage + 1) / len(_LADDER)):
-            found = follow(rows, equations, replace(quick, tolerance=max(last, 1e-9)), start)
+            found = solve_equilibrium(rows, equations, replace(quick, tolerance=max(last, 1e-9)), start)
         start = found.pose
         if stage >= len(_LADDER) - 3:
             good |= found.status == "converged"
