@@ -43,7 +43,7 @@ def _row(sheet: int, k: int, count: int, space: bool) -> Row:
     scale = float(np.abs(rings.force).sum()) * float(np.ptp(rings.mesh.X[:, 1]))
     woven = {(int(a), int(b)) for a, b in rings.mesh.linked}
     r1, wire = rings.mesh.cell.r1, rings.mesh.cell.wire
-    task, X = problem_of(rings, space).task()[0], np.pad(rings.mesh.X, ((0, 0), (0, 1)))
+    task, X = problem_of(rings, space).task(), np.pad(rings.mesh.X, ((0, 0), (0, 1)))
     status, potential, intact, gaps = [], [], 0, []
     for seed in range(count):
         found = solve_rings(task, random_start(rings, space, seed), FiniteOptions())

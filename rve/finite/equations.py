@@ -33,8 +33,7 @@ def gradients(con: Touching) -> Array:
     frame = np.stack(tangent_frame(con.placed.normal), axis=2)
     tilt_a = (g[:, 3:6, None] * frame[con.a[pair]]).sum(axis=1)
     out = np.concatenate([g[:, :3], tilt_a, (g[:, 6:9, None] * frame[con.b[pair]]).sum(axis=1)], axis=1)
-    if con.placed.walls:
-        out[con.at_wall] = _of_walls(con, np.flatnonzero(con.at_wall))[0]
+    out[con.at_wall] = _of_walls(con, np.flatnonzero(con.at_wall))[0]
     return out
 
 
@@ -97,9 +96,8 @@ def _curvatures(con: Touching, rows: Index, frame: Array) -> Array:
     B[:, [0, 1, 2], [0, 1, 2]] = 1.0
     B[:, 3:6, 3:5], B[:, 6:9, 5:7] = frame[a], frame[b]
     second = np.matmul(B.transpose(0, 2, 1), np.matmul(H, B))
-    if con.placed.walls:
-        at_wall = con.at_wall[rows]
-        second[at_wall] = _of_walls(con, rows[at_wall])[1]
+    at_wall = b >= con.placed.rings
+    second[at_wall] = _of_walls(con, rows[at_wall])[1]
     return np.asarray(second)
 
 

@@ -142,7 +142,8 @@ class FiniteMesh:
         from rve.finite.task import FiniteOptions
 
         force, at = np.asarray(force, dtype=float), np.asarray(at, dtype=float)
-        near, options = None if guide is None else np.asarray(guide, dtype=float), options or FiniteOptions()
+        near = np.full(force.shape, np.nan) if guide is None else np.asarray(guide, dtype=float)
+        options = options or FiniteOptions()
         problem = Problem(self, force, np.asarray(held, dtype=bool), at, space, tuple(walls), near)
         problem.check()
         return rest_by_motion(problem, options) if options.by_motion else solve_mesh(problem, options)

@@ -33,16 +33,15 @@ class Problem:
     at: Array
     is_space: bool
     walls: tuple[Obstacle, ...] = ()
-    guide: Array | None = None
+    guide: Array | float = np.nan
 
     def check(self) -> None:
         """InputError for arrays of other shapes, no load, or a piece that nothing holds against its load."""
         mesh, force, n = self.mesh, self.force, len(self.mesh.X)
-        guide = self.at if self.guide is None else self.guide
-        for name, array in (("force", force), ("held", self.held), ("at", self.at), ("guide", guide)):
-            if array.shape != (n, 3):
-                raise InputError(f"{name}: has shape {array.shape}, it must be ({n}, 3), one row per ring")
-        if not np.isfinite([*force.ravel(), *self.at[self.held]]).all() or np.isinf(guide).any():
+        for name, array in (("force", force), ("held", self.held), ("at", self.at), ("guide", self.guide)):
+            if np.shape(array) != (n, 3):
+                raise InputError(f"{name}: has shape {np.shape(array)}, it must be ({n}, 3), one row per ring")
+        if not np.isfinite([*force.ravel(), *self.at[self.held]]).all() or np.isinf(self.guide).any():
             raise InputError("force, places and guide must be finite numbers; nan in a guide is none")
         if not np.abs(force).sum() > 0.0:
             raise InputError("the mesh carries no load, so that it has no shape; give it weight or a pull")
@@ -116,8 +115,8 @@ class Problem:
         radius = np.array([row[2] for row in rows]) / cell.r1
         return Placed(np.concatenate([centre, place]) / cell.r1, np.concatenate([normal, unit]), radius)
 
-    def task(self, load: float | None = None) -> tuple[Task, float]:
-        """The equations without units, rows of half-spaces, held, and of balls after the rings; the unit of force in N.
+    def task(self, load: float | None = None) -> Task:
+        """The equations without units, rows of half-spaces, held, and of balls after the rings.
 
         load: what residuals and mu are measured by, N; the sum of the dead loads if None.
         """
@@ -132,10 +131,10 @@ class Problem:
         at = self.at if self.is_space else self.at * [1.0, 1.0, 0.0]
         force = np.concatenate([self.force, np.array([wall.load for wall in self.walls]).reshape(k, 3)]) / unit
         held = np.concatenate([kept, ~loose])
-        guide = None if self.guide is None else np.concatenate([self.guide / r1, np.full((k, 3), np.nan)])
-        at = self.placed(at, at).x
+        guide = np.concatenate([np.broadcast_to(self.guide, (n, 3)) / r1, np.full((k, 3), np.nan)])
+        at, size = self.placed(at, at).x, load / unit
         tie = self._tie(free)
-        return Task(mesh.linked, mesh.cell.wire, force, held, at, free, guide=guide, tie=tie, load=load / unit), unit
+        return Task(mesh.linked, mesh.cell.wire, force, held, at, free, guide=guide, tie=tie, load=size, unit=unit)
 
 
 def along(X: Array) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,8 +68,8 @@ class FiniteSolution:
     is_space: bool
     way_left_mm: float
     kkt_residual: float
-    wall_s: float
     history: tuple[Record, ...]
+    wall_s: float = 0.0
 
     @property
     def iterations(self) -> int:
@@ -200,15 +200,14 @@ class FiniteSolution:
 def solve_mesh(problem: Problem, options: FiniteOptions) -> FiniteSolution:
     """The answer to a problem; see `FiniteMesh.solve`."""
     began = time.perf_counter()
-    task, unit = problem.task()
-    return as_solution(
-        problem, task, solve_rings(task, problem.start(options), options), unit, time.perf_counter() - began
-    )
+    task = problem.task()
+    found = as_solution(problem, task, solve_rings(task, problem.start(options), options))
+    return replace(found, wall_s=time.perf_counter() - began)
 
 
-def as_solution(problem: Problem, task: Task, found: Found, unit: float, wall_s: float) -> FiniteSolution:
+def as_solution(problem: Problem, task: Task, found: Found) -> FiniteSolution:
     """What a solver has found, with its units."""
-    mesh, con = problem.mesh, found.touching
+    mesh, con, unit = problem.mesh, found.touching, task.unit
     r1, n, pair, ring = mesh.cell.r1, len(mesh.X), con.minima.pair, ~con.at_wall
     check = find_touching(con.placed, task.linked, task.wire, 0.1)
     lowest = r1 * float(check.deepest.min(initial=np.inf))
@@ -240,6 +239,5 @@ def as_solution(problem: Problem, task: Task, found: Found, unit: float, wall_s:
         is_space=problem.is_space,
         way_left_mm=r1 * float(np.linalg.norm(task.way_left(con.placed), axis=1).max()),
         kkt_residual=residual,
-        wall_s=wall_s,
         history=found.history,
     )

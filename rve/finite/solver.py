@@ -102,7 +102,7 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
                 state = replace(state, damping=0.0, local=0.0 * state.local, convex=0.0 * state.convex)
         if is_end and merit < least:
             least, finest = merit, state
-        pace = pace.after(merit, state.gain)
+        pace.count(merit, state.gain)
         # Calm: the last step of Newton's method at this mu could have gained next to nothing.
         is_sliding = pace.lifts.max() < slides and most <= _SLIDING and state.local.max(initial=0.0) >= _DAMPED
         is_calm = ~is_last & (state.gain >= 0.0) & (state.gain < _CALM * state.mu) & (not is_sliding)
@@ -120,13 +120,13 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
                 # Points beside a minimum move with it and may keep a last residual: the next end goes without them.
                 task = replace(task, beside=not task.beside)
             mu, is_lifted = _next_mu(state, task, is_calm, is_over, options)
-            pace = pace.at_next(mu != state.mu, is_lifted)
+            pace.begin(mu != state.mu, is_lifted)
             state, reach = replace(state, mu=mu), _reach(options, float(mu.max()))
             if reach != state.touching.reach or is_stuck:
                 state = state.at(task.find(state.touching.placed, reach))
                 G = gradients(state.touching)
         state, record, is_minimum = _advance(state, task, G, factorize)
-        history.append(replace(record, residual=residual))
+        history.append(record)
         if len(history) >= 25 and all(one.length < 1e-6 for one in history[-25:]):
             status = "stalled" if has_arrived else "out-of-reach"
             break
@@ -150,7 +150,7 @@ def _next_mu(state: State, task: Task, is_calm: Flags, is_over: Flags, options: 
     return np.where(is_lifted, level, np.where(is_calm, lower, state.mu)), is_lifted | is_over
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Patience:
     """How many iterations in a row the residual has not fallen, and of each ring (n,) how many what a step gains.
 
@@ -169,27 +169,22 @@ class Patience:
         """That of the first iterate of n rings."""
         return cls(np.full(n, float(options.patience)), np.zeros(n, int), np.full(n, -1), np.full(n, np.inf))
 
-    def after(self, merit: float, gain: Array) -> Patience:
-        """The pace after one more iterate; gain (n,) of the step that led to it, negative where there is none."""
-        is_better, is_nearer = merit < 0.9 * self.best, (self.slow >= 0) & (gain >= 0.0) & (gain < 0.7 * self.least)
-        return replace(
-            self,
-            idle=0 if is_better else self.idle + 1,
-            best=merit if is_better else self.best,
-            slow=np.where(is_nearer, 0, self.slow + 1),
-            least=np.where(is_nearer, gain, self.least),
-        )
+    def count(self, merit: float, gain: Array) -> None:
+        """One more iterate; gain (n,) of the step that led to it, negative where there is none."""
+        self.idle += 1
+        if merit < 0.9 * self.best:
+            self.idle, self.best = 0, merit
+        is_nearer = (self.slow >= 0) & (gain >= 0.0) & (gain < 0.7 * self.least)
+        self.slow = np.where(is_nearer, 0, self.slow + 1)
+        self.least = np.where(is_nearer, gain, self.least)
 
-    def at_next(self, is_new: Flags, is_lifted: Flags) -> Patience:
-        """The pace with mu of other rings; a lift costs iterations, so that the next one is longer in coming."""
-        is_new = is_new | is_lifted
-        longer = np.minimum(1.5 * self.patience, 100.0)
-        return Patience(
-            np.where(is_lifted, longer, self.patience),
-            self.lifts + is_lifted,
-            np.where(is_new, -1, self.slow),
-            np.where(is_new, np.inf, self.least),
-        )
+    def begin(self, is_new: Flags, is_lifted: Flags) -> None:
+        """Rings have another mu or were lifted; a lift costs iterations, so that the next one is longer in coming."""
+        self.patience = np.where(is_lifted, np.minimum(1.5 * self.patience, 100.0), self.patience)
+        self.lifts = self.lifts + is_lifted
+        self.slow = np.where(is_new | is_lifted, -1, self.slow)
+        self.least = np.where(is_new | is_lifted, np.inf, self.least)
+        self.idle, self.best = 0, np.inf
 
     def is_over(self, options: FiniteOptions, is_last: Flags) -> Flags:
         """Whether mu is to be lifted (n,); the last one only where the residual does not fall."""
@@ -225,13 +220,11 @@ def _advance(state: State, task: Task, G: Array, factorize: Factorizer) -> tuple
         new, length = search(now, step, is_last=attempt == _TRIES)
         if new is not None:
             break
-    damping, counts = now.added.damping, (len(state.force), now.trials, now.factors)
+    record = Record(length, now.trials, now.factors)
     if step is None or new is None:
-        damping = max(10.0 * damping, 1e-6)
-        state = replace(state, damping=min(damping, 1e9), gain=np.full(len(state.mu), -1.0))
-        return state, Record(float(state.mu.max()), 0.0, -1.0, 0.0, damping, *counts), False
+        damping = max(10.0 * now.added.damping, 1e-6)
+        return replace(state, damping=min(damping, 1e9), gain=np.full(len(state.mu), -1.0)), record, False
     is_exact = state.damping < 1e-6 and state.convex.max(initial=0.0) == 0.0 and state.local.max(initial=0.0) < 1e-2
-    record = Record(float(state.mu.max()), 0.0, -step.slope, length, damping, *counts)
     return _accept(now, new, step, length), record, is_exact and now.failed == 0
 
 

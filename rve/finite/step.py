@@ -26,7 +26,7 @@ from rve.finite.layout import FiniteMesh
 from rve.finite.problem import Problem
 from rve.finite.solution import FiniteSolution, as_solution
 from rve.finite.solver import solve_near
-from rve.finite.task import FiniteOptions, Found, Record, RingInertia
+from rve.finite.task import FiniteOptions, Found, Record, RingInertia, Task
 from rve.finite.touching import Touching, find_touching, nearest, of_pairs
 from rve.finite.walls import HalfSpace, Obstacle, RoundBody, flat
 from rve.geometry.cell import Cell
@@ -107,10 +107,10 @@ def with_bodies(rings: FiniteSolution, bodies: Sequence[RoundBody]) -> FiniteSol
 
 def _without_forces(problem: Problem, centre: Array, normal: Array, status: str = "converged") -> FiniteSolution:
     """Rings with these centres (n, 3) in mm and normals (n, 3), without forces: at rest, or none of the load borne."""
-    task, unit = problem.task(1.0)
+    task = problem.task(1.0)
     touching = task.find(problem.placed(centre, normal), STEP.reach)
     found = Found(touching, np.zeros(len(touching.gap)), status, float(status != "converged"), ())
-    return as_solution(problem, task, found, unit, 0.0)
+    return as_solution(problem, task, found)
 
 
 def step_rings(
@@ -142,12 +142,11 @@ def _step(
     paths: Sequence[tuple[float, float]],
 ) -> RingStep:
     """`step_rings` to the supports and half-spaces of a problem."""
-    began = time.perf_counter()
     mesh, r1, n = start.mesh, start.mesh.cell.r1, len(start.centre)
     inert = weight[:, None] * np.abs(aim - ring_places(start))
     load = float(np.abs(problem.force).sum() + np.abs([wall.load for wall in problem.walls]).sum() + inert.sum())
     load = max(load, _STILL * r1 * float(weight.sum()))
-    task, unit = problem.task(load)
+    task = problem.task(load)
     # Of short steps places to round-off leave more.
     tolerance = max(options.tolerance, np.finfo(float).eps * float(weight @ np.abs(aim).max(axis=1)) / load)
     # Points beside soft minima would come and go from step to step, and inertia holds what they are for.
@@ -156,25 +155,24 @@ def _step(
     place, normal = (np.concatenate([part, none]) for part in (aim[:n] / r1, aim[n : 2 * n] / radius))
     heavy, turning = (np.append(part, none[:, 0]) for part in (weight[:n], weight[n : 2 * n]))
     heavy[loose], place[loose] = weight[2 * n :], aim[2 * n :] / r1
-    inertia = RingInertia(heavy * r1 / unit, place, turning * radius**2 / (unit * r1), normal)
+    inertia = RingInertia(heavy * r1 / task.unit, place, turning * radius**2 / (task.unit * r1), normal)
     task = replace(task, inertia=inertia, beside=False)
     placed = replace(problem, walls=start.walls).placed(start.centre, start.normal)
     touching = find_touching(placed, task.linked, task.wire, options.reach)
     for first, last in paths:
         tuned = replace(options, first=first, last=last, tolerance=tolerance)
-        found = solve_near(task, touching, _forces(start, touching, unit, first), tuned)
+        found = solve_near(task, touching, _forces(start, task, touching, first), tuned)
         if found.status == "converged":
             break
-    rings = as_solution(problem, task, found, unit, time.perf_counter() - began)
-    con = found.touching
+    rings, con = as_solution(problem, task, found), found.touching
     own = nearest(con, touching)
     closed = np.maximum(np.where(own >= 0, touching.gap[own], options.reach) - con.gap, 0.0)
-    pushes = unit * spread(con, gradients(con), found.force)
+    pushes = task.unit * spread(con, gradients(con), found.force)
     torque = r1 * rotation(rings.normal, pushes[:n, 3:])
     drawn = weight[n : 2 * n] * (rings.normal * (radius * rings.normal - aim[n : 2 * n])).sum(axis=1)
     axes = cross(torque, rings.normal) / radius + drawn[:, None] * rings.normal
     every = np.concatenate([pushes[:n, :3], axes, pushes[loose, :3]])
-    return RingStep(rings, every, unit * r1 * float(found.force @ closed))
+    return RingStep(rings, every, task.unit * r1 * float(found.force @ closed))
 
 
 def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
@@ -215,10 +213,10 @@ def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
         is_past = kinetic < energy
         v, energy = (0.0 * v, 0.0) if is_past else (moved / h, kinetic)
         if part == 1.0 and (is_past or np.abs(moved).max() < CALM * r1):
-            task, unit = problem.task()
+            task = problem.task()
             touching = task.find(problem.placed(rings.centre, rings.normal), options.reach)
-            near = solve_near(task, touching, _forces(rings, touching, unit, own.first), own)
-            found = as_solution(problem, task, near, unit, 0.0)
+            near = solve_near(task, touching, _forces(rings, task, touching, own.first), own)
+            found = as_solution(problem, task, near)
             history += found.history
             if found.status == "converged":
                 break
@@ -229,9 +227,9 @@ def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
     return replace(found, wall_s=time.perf_counter() - began, history=history)
 
 
-def _forces(start: FiniteSolution, touching: Touching, unit: float, mu: float) -> Array:
-    """Forces (m,) of contacts at the start, in a unit in N: those of each pair shared out as on the central path."""
+def _forces(start: FiniteSolution, task: Task, touching: Touching, mu: float) -> Array:
+    """Forces (m,) of contacts at the start, without units: those of each pair shared out as on the central path."""
     pairs, force = start.contacts.pairs, start.contacts.force
     row = of_pairs(touching.key, pairs[:, 0] * len(touching.placed.x) + pairs[:, 1])
-    total = np.bincount(row[row >= 0], force[row >= 0] / unit, minlength=len(touching.key))
+    total = np.bincount(row[row >= 0], force[row >= 0] / task.unit, minlength=len(touching.key))
     return touching.shared(np.asarray(total, float), mu)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,8 +71,8 @@ class Task:
     """What is solved: linked pairs (m, 2), wire = r2/r1, dead forces (n, 3), held coordinates (n, 3) and their places,
     free coordinates (n, 5); beside: whether points beside soft minima are constraints too; guide (n, 3): places that
     pull at the centres while mu is large, nan where none does; load: the sum of the loads, by which residuals are
-    measured; inertia: that of a time step; tie (k, u): the free coordinates of the u that rings on
-    straight bars leave, None without bars."""
+    measured; inertia: that of a time step; tie (k, u): the free coordinates of the u that rings on straight bars leave,
+    None without bars; unit: that of forces, in N."""
 
     linked: Index
     wire: float
@@ -81,10 +81,11 @@ class Task:
     at: Array
     free: NDArray[np.bool_]
     beside: bool = True
-    guide: Array | None = None
+    guide: Array = field(default_factory=lambda: np.array(np.nan))
     tie: sparse.csr_matrix | None = None
     load: float = 1.0
     inertia: RingInertia | None = None
+    unit: float = 1.0
 
     @property
     def keys(self) -> Index:
@@ -104,7 +105,7 @@ class Task:
         of the inertia of a time step."""
         energy, pull, stiff = 0.0, np.zeros((len(placed.x), BLOCK)), np.zeros((len(placed.x), BLOCK))
         own, ends = self.inertia, []
-        if self.guide is not None and mu >= _TIED:
+        if mu >= _TIED:
             guided = np.isfinite(self.guide)
             ends.append((np.where(guided, _TIE * mu, 0.0), np.where(guided, self.guide, 0.0)))
         if own is not None:
@@ -157,15 +158,9 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One iteration: the largest mu, unbalanced force over load, Newton decrement, part of the step taken, damping, and
-    how many contacts, trials and factors it had."""
+    """One iteration: the part of the step taken, and how many trials and factors it had."""
 
-    mu: float
-    residual: float
-    decrement: float
     length: float
-    damping: float
-    contacts: int
     trials: int
     factors: int
 

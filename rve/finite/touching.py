@@ -97,9 +97,8 @@ class Touching:
         Wires come no nearer than r1 to the centre of a ball that goes through no ring: it cannot slip through the mesh.
         """
         distance = np.minimum(self.deepest, self.reach) + 4.0 * self.wire
-        if self.placed.walls:
-            R, wall = self.placed.radius, self.is_wall
-            distance[wall] = (2.0 * R - np.where(R > 1.0, 2.0, 0.0))[self.b[wall] - self.placed.rings]
+        R, wall = self.placed.radius, self.is_wall
+        distance[wall] = (2.0 * R - np.where(R > 1.0, 2.0, 0.0))[self.b[wall] - self.placed.rings]
         return distance
 
     @property
@@ -141,18 +140,17 @@ def find_touching(placed: Placed, linked: Index, wire: float, reach: float, *, b
     free = len(minima.pair)
     if beside:
         minima = minima.join(_beside_soft(minima, d, na, nb, wire, limit))
-    if placed.walls:
-        ring, wall = np.repeat(np.arange(rings), placed.walls), np.tile(np.arange(rings, n), rings)
-        radius = placed.radius[wall - rings]
-        g = wall_gaps(placed.x[ring], placed.normal[ring], placed.x[wall], placed.normal[wall], radius)
-        kept = (g < reach) | np.isfinite(radius)  # balls may come from afar in one step
-        ring, wall, g = ring[kept], wall[kept], g[kept]
-        zero, row = np.zeros((len(ring), 3)), len(key) + np.arange(len(ring))
-        more = Minima(row, -placed.normal[wall], zero, zero, g + 2.0 * wire, np.ones(len(ring))).take(g < reach)
-        key = np.concatenate([key, ring * n + wall])
-        order = np.argsort(key)
-        minima, key = minima.join([more]), key[order]
-        minima = replace(minima, pair=np.argsort(order)[minima.pair])
+    ring, wall = np.repeat(np.arange(rings), placed.walls), np.tile(np.arange(rings, n), rings)
+    radius = placed.radius[wall - rings]
+    g = wall_gaps(placed.x[ring], placed.normal[ring], placed.x[wall], placed.normal[wall], radius)
+    kept = (g < reach) | np.isfinite(radius)  # balls may come from afar in one step
+    ring, wall, g = ring[kept], wall[kept], g[kept]
+    zero, row = np.zeros((len(ring), 3)), len(key) + np.arange(len(ring))
+    more = Minima(row, -placed.normal[wall], zero, zero, g + 2.0 * wire, np.ones(len(ring))).take(g < reach)
+    key = np.concatenate([key, ring * n + wall])
+    order = np.argsort(key, kind="stable")
+    minima, key = minima.join([more]), key[order]
+    minima = replace(minima, pair=np.argsort(order, kind="stable")[minima.pair])
     order = np.argsort(minima.pair, kind="stable")
     minima, fixed = minima.take(order), order >= free
     gap = minima.distance - 2.0 * wire

@@ -596,7 +596,7 @@ def test_the_right_hand_side_is_the_slope_of_the_barrier_function_where_each_rin
     slope = -(Iteration(state, task, gradients(con), Factorizer()).rhs * q).sum()
     assert (above - below) / (2 * step) == pytest.approx(slope, rel=1e-6)
     for small in np.outer((1e-9, 5e-4), np.ones(n)):
-        assert task.barrier(con, small) == replace(task, guide=None).barrier(con, small)
+        assert task.barrier(con, small) == replace(task, guide=np.array(np.nan)).barrier(con, small)
 
 
 def test_a_guide_has_no_part_in_the_answer_but_where_it_is_found():
