@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from macro_fem.fem.assembly import gradient, load_vector
 from macro_fem.fem.cells import cross, recovered
-from macro_fem.fem.discretization import Discretization, discretize
+from macro_fem.fem.discretization import Discretization
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import (
     PER_MM2,
@@ -39,14 +39,9 @@ LEAST_FRONT = 1e-9
 """Front per reference area below which it is none."""
 
 
-def loaded(problem: CurtainProblem) -> Discretization:
-    """The points at which loads are integrated; those of an admissible problem are at corners, which is not exact."""
-    return discretize(problem.mesh.mesh, "P2") if problem.disc.element == "P2" else problem.disc
-
-
 def with_wind(problem: CurtainProblem, density: Array) -> CurtainProblem:
     """The problem with wind that presses the points with `density` (n_points, d) in N/mm2 instead of what it held."""
-    disc = loaded(problem)
+    disc = problem.exact
     before = np.zeros_like(problem.force) if problem.wind is None else load_vector(disc, spread(disc, problem.wind))
     return replace(problem, force=problem.force - before + load_vector(disc, density), wind=disc.cell_mean(density))
 

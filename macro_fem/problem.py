@@ -62,6 +62,11 @@ class CurtainProblem:
         return np.asarray(U @ Vt)
 
     @cached_property
+    def exact(self) -> Discretization:
+        """Points at which loads are integrated; those of an admissible problem are at corners, which is not exact."""
+        return discretize(self.mesh.mesh, "P2") if self.disc.element == "P2" else self.disc
+
+    @cached_property
     def elastic_law(self) -> HungLaw:
         """The law of an elastic curtain, whose rings give by direction where the law knows it."""
         return self.law.elastic()

@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from macro_fem.drag import loaded, senses, wind_density, with_wind
+from macro_fem.drag import senses, wind_density, with_wind
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import FINE
 from macro_fem.mixing import Mixer
@@ -78,7 +78,7 @@ def solve_shape(
     sense = senses(problem) if problem.winds else []
     first = start if start is not None else _first(problem, solve)
     shape = first.x
-    mixer = Mixer(loaded(problem).weight, MEMORY, part, 0.5 if is_steep else 1.0)
+    mixer = Mixer(problem.exact.weight, MEMORY, part, 0.5 if is_steep else 1.0)
     if start is None and any(wind.speed is None for wind in problem.winds):
         X = problem.disc.nodes  # the sheet before anything pulls it out of its plane
         shape = X @ problem.frame.T if scene.start is None else scene.start.places(X)
@@ -227,7 +227,7 @@ def _measure_settling(
     """The residuals of a round: how much its reactions and the wind turn at its own shape."""
     walls, x = found.problem.walls, found.x
     total = load_scale(found.problem.force, problem.disc.weight)
-    turning = load_vector(loaded(problem), change) if problem.winds else np.zeros((0, 3))
+    turning = load_vector(problem.exact, change) if problem.winds else np.zeros((0, 3))
     misfit, product, deepest, depth = float(np.linalg.norm(turning, axis=1).sum()), 0.0, 0.0, 0.0
     for body, now in zip(problem.bodies, turned, strict=True):
         of_body = walls.owner == body.number

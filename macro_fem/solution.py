@@ -9,7 +9,6 @@ import numpy as np
 
 from macro_fem.fem.assembly import gradient, internal_force, load_vector
 from macro_fem.fem.cells import padded, recovered
-from macro_fem.fem.discretization import discretize
 from macro_fem.problem import CurtainProblem, gathered_start, unit_tensors
 from macro_fem.solvers.cones import Cones, green_strain, least_slack
 from macro_fem.solvers.status import FREE, ROUNDING, Evidence, Judged, Reach, Settling, Verdict, judged, load_scale
@@ -151,8 +150,7 @@ class CurtainSolution(Judged):
 
     def mean_place(self) -> Array:
         """Mean position over the reference area (d,), mm."""
-        disc = discretize(self.problem.mesh.mesh, self.problem.disc.element)
-        return np.average(self.x, axis=0, weights=load_vector(disc, np.array([1.0]))[:, 0])
+        return np.average(self.x, axis=0, weights=load_vector(self.problem.exact, np.array([1.0]))[:, 0])
 
     def mean_height(self) -> float:
         """Mean of y over the reference area, mm."""

@@ -126,7 +126,7 @@ def plot_utilisation(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
     """The deformed curtain coloured by the utilisation of its rings, 1 where they yield; InputError if not known."""
     used = strength.utilisation(solution)
     if used is None:
-        raise InputError(f"utilisation: {strength.reason(solution.problem.law)}")
+        raise InputError(f"utilisation: {strength.judged_by(solution.problem.law)}")
     ax = _plot_field(solution, used, Scale.of(used, "utilisation of the rings (1: first yield)"), ax)
     _legend(ax)
     return ax

@@ -40,8 +40,9 @@ SHARPEST = np.pi / 6.0
 """Angle of a corner in which averages reach farthest; bounds their chord, so that few points are looked at."""
 NONE = Extreme(0.0, np.full(2, np.nan))
 KEYS = (
-    *("utilisation_max", "utilisation_max_at_mm", "utilisation_of_averages_max", "utilisation_of_point_forces_max"),
-    *("utilisation_of_hook_rings_max", "ring_at_hook", "utilisation_mesh_too_coarse"),
+    *("utilisation_max", "utilisation_max_at_mm", "utilisation_pointwise_max", "utilisation_of_averages_max"),
+    *("utilisation_of_point_forces_max", "utilisation_of_hook_rings_max", "ring_at_hook"),
+    "utilisation_mesh_too_coarse",
     *("safety_factor", "collapse_factor", "first_yield_near"),
 )
 """Keys of summary.json that are null where the strength is not known."""
@@ -57,25 +58,24 @@ MEANING = (
 def summary(solution: CurtainSolution) -> dict[str, Any]:
     """Utilisation, factors, place and material for summary.json; None, with a reason, where they are not known."""
     law = solution.problem.law
-    known, cell, used, why = strength_of_law(law.own), law.cell, utilisation(solution), reason(law)
-    largest = None if used is None else float(used.max())
+    known, by = strength_of_law(law.own), judged_by(law)
     found: dict[str, Any] = dict.fromkeys(KEYS)
-    if largest is not None and known is not None and cell is not None:
-        found, why = _numbers(solution, known, cell, largest), MEANING
+    if not isinstance(by, str):
+        found, by = _numbers(solution, *by), MEANING
     return found | {
-        "utilisation_pointwise_max": largest,
         "ring_material": None if known is None else known.material.name,
         "ring_yield_N_per_mm2": None if known is None else known.material.yield_N_per_mm2,
         "material": None if known is None else asdict(known.material),
         "ring_joint": None if known is None else known.joint,
-        "strength_note": why,
+        "strength_note": by,
     }
 
 
-def _numbers(solution: CurtainSolution, known: Strength, cell: CellInfo, pointwise: float) -> dict[str, Any]:
+def _numbers(solution: CurtainSolution, known: Strength, cell: CellInfo) -> dict[str, Any]:
     """The values of `KEYS` where the strength is known, by what first yield and collapse ask of mesh and rings."""
     first, last = _largest_asked(solution, known, cell)
     mean, points, hook = first
+    pointwise = float(known.utilisation(solution.problem.law.in_weave(_loads(solution))).max())
     most, collapse = (max(each, key=lambda one: one.value) for each in (first, last))
     mesh, area = solution.problem.mesh.mesh, solution.problem.disc.cell_area
     touching = np.abs(mesh.p[:, mesh.t] - mean.at[:, None, None]).max(axis=0) < 1e-9 * solution.problem.mesh.size
@@ -85,6 +85,7 @@ def _numbers(solution: CurtainSolution, known: Strength, cell: CellInfo, pointwi
     return {
         "utilisation_max": most.value,
         "utilisation_max_at_mm": most.at.tolist(),
+        "utilisation_pointwise_max": pointwise,
         "utilisation_of_averages_max": mean.value,
         "utilisation_of_point_forces_max": points.value,
         "utilisation_of_hook_rings_max": hook.value,
@@ -96,8 +97,8 @@ def _numbers(solution: CurtainSolution, known: Strength, cell: CellInfo, pointwi
     }
 
 
-def reason(law: HungLaw) -> str | None:
-    """Why the utilisation under a law is not known; None if it is."""
+def judged_by(law: HungLaw) -> tuple[Strength, CellInfo] | str:
+    """The strength and the cell by which a curtain of a law is judged; where its utilisation is not known, why."""
     known = strength_of_law(law.own)
     if known is None:
         return (
@@ -106,23 +107,22 @@ def reason(law: HungLaw) -> str | None:
         )
     if known.material.yield_N_per_mm2 is None:
         return f"{known.material.name} has no yield stress: make the table with rve table --rings --yield"
-    return None if law.cell is not None else "the law has no cell to average the line load over"
+    return "the law has no cell to average the line load over" if law.cell is None else (known, law.cell)
 
 
 def utilisation(solution: CurtainSolution) -> Array | None:
     """Utilisation of the rings of each cell (n_cells,), averaged over neighbours as S is; None if it is not known."""
     law = solution.problem.law
-    known = strength_of_law(law.own)
-    return None if known is None or reason(law) else known.utilisation(law.in_weave(_loads(solution)))
+    by = judged_by(law)
+    return None if isinstance(by, str) else by[0].utilisation(law.in_weave(_loads(solution)))
 
 
 def critical_load(solution: CurtainSolution) -> Array | None:
     """S (3,) in the frame of the weave where the utilisation of the mesh is largest; None where it is not known."""
-    law = solution.problem.law
-    known, cell = strength_of_law(law.own), law.cell
-    if known is None or cell is None or reason(law):
+    by = judged_by(solution.problem.law)
+    if isinstance(by, str):
         return None
-    mean, points, _ = _largest_asked(solution, known, cell)[0]
+    mean, points, _ = _largest_asked(solution, *by)[0]
     return max(mean, points, key=lambda one: one.value).load
 
 
@@ -139,7 +139,7 @@ def _largest_asked(solution: CurtainSolution, known: Strength, cell: CellInfo) -
     # Utilisation is the tensile trace over a weighted mean of strengths, and the trace is convex in S.
     trace = np.maximum(eigenvalues(S), 0.0).sum(axis=0)
     near = Nearby(solution.problem.mesh.mesh, S, trace, cell.b_x_mm * cell.b_y_mm)
-    first, last = hook_rings(solution, known)
+    first, last = hook_rings(solution, known, cell)
 
     def asked(value: Callable[[Array], Array], strengths: Array, ring: Extreme) -> tuple[Extreme, ...]:
         most = float(strengths.max()) / known.yield_stress()
@@ -162,14 +162,14 @@ def nearest(solution: CurtainSolution, at: Array) -> str:
     return min(places, key=lambda name: float(np.linalg.norm(places[name] - at, axis=1).min()))
 
 
-def hook_rings(solution: CurtainSolution, known: Strength) -> list[Extreme]:
+def hook_rings(solution: CurtainSolution, known: Strength, cell: CellInfo) -> list[Extreme]:
     """Utilisations at first yield and at collapse of the ring that bears most at a held or loaded point; 0 without any.
 
     Each of the rings there is pulled by two opposed forces, its share of the force and that of its neighbours
     (`rve.pulled_ring`). A butted ring turns on its hook, so its joint is where it is worst.
     """
-    cell, points = solution.problem.law.cell, [one for one in point_forces(solution) if one.rings]
-    if cell is None or not points:
+    points = [one for one in point_forces(solution) if one.rings]
+    if not points:
         return [NONE, NONE]
     joint = "welded" if known.joint == "welded" else "butted:worst"
     ring = pulled_ring(cell.r1_mm, cell.r2_mm, known.material, joint)

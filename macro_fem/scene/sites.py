@@ -173,11 +173,6 @@ class Hanging(Support):
             found.append(line.at(np.linspace(0.0, length, number + 1)[: number if line.is_closed else None]))
         return np.concatenate(found), max(fitted)[1]
 
-    def _hooks(self, site: Site) -> np.ndarray:
-        """The nodes (k,) of its hooks; InputError without a top edge."""
-        site.mesh.edge("top", f"{site.scene.source}: {self.where} needs edge")
-        return site.mesh.hooks[site.number].nodes
-
 
 def edge_nodes(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> np.ndarray:
     """Node numbers on the named edge, ordered along it for straight ones; InputError if there is no such edge."""

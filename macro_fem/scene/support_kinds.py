@@ -81,7 +81,8 @@ class Hooks(Hanging, kind="hooks"):
         super().check()
 
     def hold(self, site: Site) -> Held:
-        nodes = self._hooks(site)
+        self._edge(site)
+        nodes = site.mesh.hooks[site.number].nodes
         return self._held(site, "hooks", nodes, self._narrowed(site, nodes), "yz" if self.sliding else "both")
 
 
@@ -217,7 +218,7 @@ class Track(Hanging, kind="track"):
         edge = sites.edge_line(site.mesh, "top", f"{where} needs edge")
         curve, length = self.curve(edge, where), edge.arc[-1]
         if self.has_hooks:
-            nodes, facets = self._hooks(site), sites.NONE
+            nodes, facets = site.mesh.hooks[site.number].nodes, sites.NONE
             places = self.places(curve, np.linspace(0.0, length, len(nodes)), length)
         else:
             nodes, places = sites.placed_along(site, edge.nodes, self.places(curve, edge.arc, length))

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import shapely
 from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import counterclockwise, cross
@@ -150,14 +151,12 @@ def _best_change(sheet: _Sheet, place: Array, kept: set[int], where: str, tiny: 
 
 def _nearest_facet(sheet: _Sheet, place: Array) -> tuple[int, bool]:
     """The boundary facet nearest to a place, and whether the place is on it: a smooth arch is no polygon."""
-    a, b = sheet.points[sheet.rim[:, 0]], sheet.points[sheet.rim[:, 1]]
-    along, length = b - a, np.linalg.norm(b - a, axis=1)
-    s = np.clip(((place - a) * along).sum(axis=1) / length**2, 0.0, 1.0)
-    distance = np.linalg.norm(place - a - s[:, None] * along, axis=1)
+    sides = shapely.linestrings(sheet.points[sheet.rim])
+    distance = shapely.distance(sides, shapely.Point(place))
     facet = int(np.argmin(distance))
     turns = [_turn(sheet, int(node)) for node in sheet.rim[facet]]
     bulge = max((turn for turn in turns if turn < CORNER), default=0.0) / 4.0
-    return facet, bool(distance[facet] <= (TOUCH + bulge) * length[facet])
+    return facet, bool(distance[facet] <= (TOUCH + bulge) * shapely.length(sides[facet]))
 
 
 def _turn(sheet: _Sheet, node: int) -> float:
