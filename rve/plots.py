@@ -12,6 +12,7 @@ from rve.drawn import DrawnRings
 from rve.equilibrium.interior_point import LockedStates, unit_loads
 from rve.equilibrium.system import lattice_load
 from rve.geometry.cell import Cell
+from rve.geometry.pose import pair_geometry
 from rve.table import StrainTable
 
 if TYPE_CHECKING:
@@ -22,33 +23,29 @@ CLASS_COLOURS = ("#5d6672", "#a9b0b9", "#8a7a66")
 
 
 def drawn_rings(states: LockedStates, k: int) -> DrawnRings:
-    """The rings of class k of the first state that the weave draws."""
+    """The rings of class k of a single state that the weave draws."""
     cell, pose = states.cell, states.pose
     at = cell.weave.rings[cell.weave.rings[:, 0] == k, 1:]
-    flat = pose.centres[0, k] + at @ np.stack([pose.a1[0], pose.a2[0]])
-    centre = swapped(cell.r1 * np.column_stack([flat, np.zeros(len(flat))]), cell)
+    flat = pose.centres[0, k, :2] + at @ np.concatenate([pose.a1, pose.a2])
+    centre = np.pad(swapped(cell.r1 * flat, cell), ((0, 0), (0, 1)))
     normal = np.tile(swapped(pose.normals[0, k], cell), (len(flat), 1))
     return DrawnRings(centre, normal, cell.r1, cell.r2)
 
 
 def contacts_mm(states: LockedStates) -> tuple[Array, Array, Array]:
-    """Loaded contacts of the drawn rings of the first state: points (m, 3) in mm, normals (m, 3), forces (m,)."""
+    """Loaded contacts of the drawn rings of a single state seen along z: points (m, 2) in mm, normals (m, 2), forces
+    (m,) in units of s r1."""
     cell, pose, contacts, lam = states.cell, states.pose, states.found.contacts, states.found.lam[0]
-    drawn = {tuple(int(x) for x in ring) for ring in cell.weave.rings}
-    points, normals, forces = [], [], []
+    drawn, lattice = {tuple(ring) for ring in cell.weave.rings.tolist()}, np.concatenate([pose.a1, pose.a2])
+    rho = contacts.rho[0] + contacts.rho_b[0] + pair_geometry(pose, cell.weave)[0][0][:, None]
+    rows = []
     for p, slot in np.argwhere(contacts.present[0] & (lam >= 1e-6)):
-        rho_a, rho_b = contacts.rho[0, p, slot], contacts.rho_b[0, p, slot]
-        a, b, i, j = (int(x) for x in cell.weave.pairs[p])
-        for ring, di, dj in drawn:
-            if ring != a or (b, di + i, dj + j) not in drawn:
-                continue
-            origin = pose.centres[0, a] + di * pose.a1[0] + dj * pose.a2[0]
-            target = pose.centres[0, b] + (di + i) * pose.a1[0] + (dj + j) * pose.a2[0]
-            points.append(0.5 * cell.r1 * (rho_a + rho_b + np.append(origin + target, 0.0)))
-            normals.append(contacts.normal[0, p, slot])
-            forces.append(lam[p, slot])
-    at, along = (swapped(np.array(part).reshape(-1, 3), cell) for part in (points, normals))
-    return at, along, np.array(forces)
+        a, b, i, j = cell.weave.pairs[p].tolist()
+        point, normal = pose.centres[0, a, :2] + 0.5 * rho[p, slot, :2], contacts.normal[0, p, slot, :2]
+        shifts = [(di, dj) for ring, di, dj in drawn if ring == a and (b, di + i, dj + j) in drawn]
+        rows += [[*cell.r1 * (point + np.array(shift) @ lattice), *normal, lam[p, slot]] for shift in shifts]
+    found = np.array(rows).reshape(-1, 5)
+    return swapped(found[:, :2], cell), swapped(found[:, 2:4], cell), found[:, 4]
 
 
 def swapped(vectors: Array, cell: Cell) -> Array:
@@ -57,18 +54,15 @@ def swapped(vectors: Array, cell: Cell) -> Array:
 
 
 def corner_forces(states: LockedStates) -> tuple[Array, Array]:
-    """Corners (4, 3) of the cell of the first state in mm, and the line load on its faces as forces there (4, 3).
+    """Corners (4, 2) of the cell of a single state in mm, and the line load on its faces as forces there (4, 2).
 
     Fig. 4 of the paper: the load on a face goes in equal parts to the two rings at its ends. Forces are in units of the
     size of the line load times r1.
     """
-    pose, cell = states.pose, states.cell
-    a1, a2 = cell.r1 * pose.a1[0], cell.r1 * pose.a2[0]
-    f, _ = lattice_load(pose, unit_loads(states.s))
-    f1, f2 = f[0, :2], f[0, 2:]
-    at = np.array([0 * a1, a1, a2, a1 + a2])
-    nodal = 0.5 * np.array([-f1 - f2, f1 - f2, f2 - f1, f1 + f2])
-    return tuple(swapped(np.pad(part, ((0, 0), (0, 1))), cell) for part in (at, nodal))  # type: ignore[return-value]
+    (a1,), (a2,) = states.pose.a1, states.pose.a2
+    f1, f2 = lattice_load(states.pose, unit_loads(states.s))[0].reshape(2, 2)
+    at = states.cell.r1 * np.array([0 * a1, a1, a2, a1 + a2])
+    return swapped(at, states.cell), swapped(0.5 * np.array([-f1 - f2, f1 - f2, f2 - f1, f1 + f2]), states.cell)
 
 
 def locked_row(table: StrainTable, row: int = 0) -> LockedStates:
@@ -97,14 +91,14 @@ def draw_case(table: StrainTable, row: int = 0, ax: Axes | None = None) -> Axes:
         x, y, _ = drawn_rings(states, k).closed_circles(96).T
         first, *_ = ax.plot(x, y, color=CLASS_COLOURS[k % len(CLASS_COLOURS)], lw=1.8)
         first.set_label(f"rings of class {k + 1}")
-    at, nodal = (part[:, :2] for part in corner_forces(states))
+    at, nodal = corner_forces(states)
     ax.plot(*at[[0, 1, 3, 2, 0]].T, color="0.3", lw=0.9, ls="--", zorder=0, label="periodic cell")
     points, normals, forces = contacts_mm(states)
     if len(points):
         ax.scatter(points[:, 0], points[:, 1], s=18, color=BLUE, zorder=3, label="contact")
-        reach = 0.5 * r1 * (forces / forces.max())[:, None] * normals[:, :2]
+        reach = 0.5 * r1 * (forces / forces.max())[:, None] * normals
         longest = f"force between rings, longest {r1 * forces.max():.3g}"
-        _arrows(ax, np.tile(points[:, :2], (2, 1)), np.concatenate([reach, -reach]), BLUE, 3e-3, longest)
+        _arrows(ax, np.tile(points, (2, 1)), np.concatenate([reach, -reach]), BLUE, 3e-3, longest)
     largest = max(float(np.linalg.norm(nodal, axis=1).max()), 1e-300)
     _arrows(ax, at, 1.3 * r1 * nodal / largest, VERMILION, 5e-3, f"force on a corner, longest {r1 * largest:.3g}")
     for number, (place, force) in enumerate(zip(at, nodal, strict=True), 1):

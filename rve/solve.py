@@ -21,7 +21,7 @@ from rve.equilibrium.limits import with_limits
 from rve.equilibrium.mixtures import MOVED
 from rve.equilibrium.system import Equations, mirror_modes
 from rve.explain import solver_work
-from rve.geometry.cell import Cell, weave_axes, weave_sides
+from rve.geometry.cell import Cell, weave_axes
 from rve.geometry.contacts import unlisted_gap, widened
 from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
 from rve.geometry.pose import Pose, deformation, strain_of, tiled
@@ -147,14 +147,15 @@ def largest_table(
     """
     began = time.perf_counter()
     s, planar = states.s, states
-    first = make_rows(states.found, s, LoadedCell.of(states.cell, sides_mm, options))
-    states, rows, left = largest_states(states, first, s, options, sides_mm)
+    mesh = LoadedCell.of(states.cell, sides_mm, options)
+    first = make_rows(states.found, s, mesh)
+    states, rows, left = largest_states(states, first, s, mesh)
     primitive = rows.E
-    for mesh in cell.stages(states.cell.weave):
-        equations = Equations.of(mesh.weave, cell.wire)
-        states = replace(states, found=in_cell(states.found, states.s, equations, options.reach), cell=mesh)
-        rows = replace(rows, pose=tiled(rows.pose, mesh.weave))
-        states, rows, left = largest_states(states, rows, s, options, sides_mm)
+    for larger in cell.stages(states.cell.weave):
+        mesh = LoadedCell.of(larger, sides_mm, options)
+        states = replace(states, found=in_cell(states.found, states.s, mesh.cauchy, options.reach), cell=larger)
+        rows = replace(rows, pose=tiled(rows.pose, larger.weave))
+        states, rows, left = largest_states(states, rows, s, mesh)
     beyond = int((np.abs(rows.E - primitive).max(axis=1) > MOVED).sum())
     record = {"rows_beyond_the_primitive_cell": beyond} if cell.is_larger else {}
     is_wide = len(planar.cell.weave.pairs) > len(cell.weave.pairs)
@@ -165,19 +166,17 @@ def largest_table(
     states = replace(states, found=replace(states.found, status=status))
     mixed = np.flatnonzero(rows.branch == "coexisting")
     table = table_rows(alpha, beta, states.cell, states.found, states.unique, sides_mm)
-    sides = weave_sides(states.cell, sides_mm)
-    S = second_pk(deformation_gradient(strain_of(states.pose.take(mixed), sides)), states.s[mixed])
+    S = second_pk(deformation_gradient(strain_of(states.pose.take(mixed), mesh.sides)), states.s[mixed])
     table.S[mixed] = np.where(left[mixed, None], np.nan, S[:, weave_axes(cell)])
     table = replace(table, states=states, branch=rows.branch)
     return table, branch_record(table, first, rows, left, time.perf_counter() - began) | record
 
 
 def largest_states(
-    states: LockedStates, rows: RowStates, s: Array, options: DirectOptions, sides_mm: tuple[float, float]
+    states: LockedStates, rows: RowStates, s: Array, mesh: LoadedCell
 ) -> tuple[LockedStates, RowStates, Flags]:
     """Locked states of largest work in their cell under the Cauchy loads s (n, 3); the rows; the rows (n,) that a known
     state still contradicts. A coexisting state has the unit Cauchy load that it carries in its own pose."""
-    mesh = LoadedCell.of(states.cell, sides_mm, options)
     rows, found, changed, left = largest_rows(rows, states.found, s, mesh)
     unique, loads, lam = states.unique.copy(), states.s.copy(), found.lam.copy()
     unique[changed], loads[changed] = rows.unique[changed], s[changed]
