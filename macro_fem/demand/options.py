@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from homogenize import LawInterval, interval_of_table, read_law_interval
-from rve import WEAVES, Cell
+from rve import Cell
 from rve.common import InputError, shown
 from rve.common.rings import check_ring_size
 
@@ -69,10 +69,7 @@ def ring_options(
         return None
     if "cache" in told and "no_cache" in told:
         raise InputError("--cache and --no-cache contradict each other: give one")
-    weave = told.get("weave", "4-in-1")
-    if weave not in WEAVES:
-        raise InputError(f"--weave = {shown(weave)}: known are {', '.join(WEAVES)}")
-    cell = Cell(*radii(rings), WEAVES[weave], told.get("grain", "y"))
+    cell = Cell(*radii(rings), told.get("weave", "4-in-1"), told.get("grain", "y"))
     base = os.environ.get("XDG_CACHE_HOME", "")
     kept = (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "ring-mesh"
     folder = None if "no_cache" in told else told.get("cache", kept)

@@ -51,7 +51,7 @@ def links(summary: dict[str, Any]) -> list[Link]:
     for number, support in enumerate(supports, 1):
         capacity, force = support.get("capacity_N"), support["largest_nodal_force_N"]
         if capacity is not None and force > 0.0:
-            kind = "runner" if support["support"] == "track" else "hook"
+            kind = "runner" if support["support"] == "track" else support["support"].removesuffix("s")
             of = f" of support {number}" if len(supports) > 1 else ""
             text = f"{kind}s of support {number} bear up to {force:.4g} N of {capacity:g} N"
             found.append(Link(capacity / force, f"{kind} capacity{of}", text))
