@@ -361,6 +361,7 @@ def test_rings_of_a_curtain_from_the_command_line(hung, tmp_path):
     assert x.min() + x.max() == pytest.approx(70.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_window_and_the_picture(hung, tmp_path):
     result = run(hung / "curtain.vtu", "--out", tmp_path, "--window", "0,0,40,40", "--tubes")
     assert result.exit_code == 0, result.output

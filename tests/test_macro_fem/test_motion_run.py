@@ -167,6 +167,7 @@ def test_solvers_at_rest_refuse_motion():
             solve(scene)
 
 
+@pytest.mark.slow
 def test_a_run_writes_its_files_and_goes_on_as_if_it_had_not_ended(tmp_path):
     """A longer run in one, and in two with --continue, differ by the accuracy of a step only."""
     whole, part = tmp_path / "whole.toml", tmp_path / "part.toml"

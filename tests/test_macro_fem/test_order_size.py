@@ -102,6 +102,7 @@ def test_the_search_finds_where_a_falling_factor_crosses(asked):
     assert search(lambda _: 0.5, values, between=False) == values[-1]
 
 
+@pytest.mark.slow
 def test_a_pitch_finer_than_the_mesh_takes_more_cells():
     scene = Scene(Rectangle(330.0, 252.9), [Hooks(pitch=110.0)], mesh=Mesh(cells=3))
     found = macro_fem.largest_that_holds(scene, None, "pitch", (50.0, 110.0), 0.1)
@@ -119,6 +120,7 @@ def test_a_wire_is_sized_with_the_law_of_its_table():
     assert (found.value, found.factor) == (0.8, pytest.approx(told["weakest_factor"], rel=1e-9))
 
 
+@pytest.mark.slow
 def test_the_largest_pitch_divides_the_edge_and_the_next_one_does_not_hold(tmp_path):
     (tmp_path / "scene.toml").write_text(HOOKS)
     asked = ["--vary", "pitch", "--from", "60", "--to", "330", "--factor", "0.9", "--out", str(tmp_path / "o")]
@@ -166,6 +168,7 @@ def test_an_outline_goes_to_cad_and_back(tmp_path):
             macro_fem.read_scene({"curtain": curtain, **tables}, tmp_path / "scene.toml")
 
 
+@pytest.mark.slow
 def test_rings_as_stl_are_closed_and_have_the_volume_of_their_wire(tmp_path):
     import meshio
 
@@ -179,6 +182,7 @@ def test_rings_as_stl_are_closed_and_have_the_volume_of_their_wire(tmp_path):
     assert volume == pytest.approx(len(rings) * 2.0 * math.pi**2 * 5.0 * 0.5**2 * parts, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_the_report_is_two_pages(tmp_path):
     scene = tmp_path / "hooks.toml"
     scene.write_text(HOOKS + '[[combination]]\nname = "more"\nbar = 1.5\n')

@@ -181,6 +181,7 @@ def test_what_rings_in_motion_cannot_do_is_refused_in_a_sentence(tables, says):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_rings_with_motion_writes_its_files(tmp_path):
     scene, out = tmp_path / "scene.toml", tmp_path / "out"
     scene.write_text(
@@ -202,6 +203,7 @@ def test_rings_with_motion_writes_its_files(tmp_path):
     assert written == {*names, *(f"motion_{k:04d}.vtu" for k in range(6))}
 
 
+@pytest.mark.slow
 def test_a_run_of_rings_goes_on_as_if_it_had_not_ended(tmp_path):
     """A ball falls on a hung sheet: places, forces, bodies and peaks of one run, and of two with --continue."""
     whole, part = tmp_path / "whole.toml", tmp_path / "part.toml"
