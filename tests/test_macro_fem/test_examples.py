@@ -17,6 +17,8 @@ from macro_fem.scene.schema import load_scene, read_scene
 from tests.test_macro_fem.sheets import least_angle, sheet
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.toml"))
+GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "numbers.json").read_text("utf-8"))["scenes"]
+"""Examples that tests/test_golden.py solves on coarser meshes."""
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=[path.stem for path in EXAMPLES])
@@ -30,8 +32,13 @@ def test_example_makes_a_problem(path):
     assert least_angle(mesh.mesh.p.T, mesh.mesh.t.T) > 15.0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("path", EXAMPLES, ids=[path.stem for path in EXAMPLES])
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, id=path.stem, marks=pytest.mark.release if path.stem in GOLDEN else pytest.mark.slow)
+        for path in EXAMPLES
+    ],
+)
 def test_example_runs(path, tmp_path):
     result = CliRunner().invoke(main, ["run", str(path), "--out", str(tmp_path / "out")])
     assert result.exit_code == 0, result.output
