@@ -1,17 +1,17 @@
 """Laws that the curtain's tests share."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from homogenize.fitting.fit import fit
 from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces
-from rve.directions import grid
-from rve.geometry.cell import Cell
-from rve.solve import solve_table
+from rve.table import read_table
 from tests.test_macro_fem.sheets import sheet
 
+TABLE = Path(__file__).parents[1] / "test_homogenize" / "data" / "table190.csv"
 WEIGHT = np.array([1.0, 2.0, 1.0])
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
 STRETCH_X = 17.42005 / 11.0
@@ -91,5 +91,8 @@ def scene_tables():
 
 @pytest.fixture(scope="session")
 def fitted_law():
-    """The law that `rve table` and `homogenize fit` make with their own defaults."""
-    return fit(solve_table(Cell(), grid())).law
+    """The law that `rve table` and `homogenize fit` make with their own defaults.
+
+    That `rve table` makes this table is tested in tests/test_homogenize/test_table.py.
+    """
+    return fit(replace(read_table(TABLE), compliance=None, strength=None)).law

@@ -32,8 +32,8 @@ PULLED = {"point": {"at": [50.0, 0.0], "force": [-0.138, 0.004]}}
     ("hang", "height", "support", "load", "mesh"),
     [
         ("x", 95.0, LEFT, {}, {"cells": 5}),
-        ("y", 95.9, LEFT, {}, {"cells": 6, "pattern": "diagonal"}),
-        (83.0, 79.0, {"kind": "corners"}, PULLED, {"cells": 3, "element": "P2"}),
+        pytest.param("y", 95.9, LEFT, {}, {"cells": 6, "pattern": "diagonal"}, marks=pytest.mark.slow),
+        pytest.param(83.0, 79.0, {"kind": "corners"}, PULLED, {"cells": 3, "element": "P2"}, marks=pytest.mark.slow),
     ],
 )
 def test_a_loose_answer_is_admissible_and_above_the_least_potential(

@@ -106,7 +106,7 @@ def test_300_large_steps_end_with_a_status(block):
             check(found, tables)
 
 
-@pytest.mark.parametrize("seed", [1003, 1023, 1028])
+@pytest.mark.parametrize("seed", [1003, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1023, 1028))])
 def test_the_account_closes_where_tangents_of_a_ball_still_turn(seed):
     tables = draw(seed)
     tables["motion"] |= {"duration": 0.1}

@@ -126,6 +126,7 @@ def angular_momenta(
     return np.array([(moving.mass[:, None] * np.cross(one.x, one.v)).sum(axis=0) for one in moments])
 
 
+@pytest.mark.slow
 def test_angular_momentum_of_a_tumbling_sheet_is_kept_to_second_order():
     moving, X = free_sheet(3)
     x = X - (moving.mass @ X) / moving.mass.sum()
@@ -140,6 +141,7 @@ def test_angular_momentum_of_a_tumbling_sheet_is_kept_to_second_order():
     assert errors[2] < 5e-4
 
 
+@pytest.mark.slow
 def test_angular_momentum_through_the_impact_of_a_ball_is_kept_to_first_order_and_energy_only_falls():
     moving, X = free_sheet(balls=1)
     x = np.vstack([X, [140.0, 170.0, 41.0]])

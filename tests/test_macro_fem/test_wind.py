@@ -93,7 +93,7 @@ def test_a_sheet_folded_upon_itself_is_two_layers():
     assert force == pytest.approx(0.5 * 1.25 * 225.0 * drag_coefficient(1.0 - (1.0 - s) ** 2) * front, rel=0.05)
 
 
-@pytest.mark.parametrize("speed", [3.0, 12.0])
+@pytest.mark.parametrize("speed", [3.0, pytest.param(12.0, marks=pytest.mark.slow)])
 def test_a_strip_swings_out_of_the_wind_to_a_closed_form(speed):
     """A straight strip at the angle t from the vertical: tan t = q C_D(1/cos t layers) cos t over its weight."""
     problem = posed(hung({"kind": "top"}, {"speed": speed}) | {"curtain": {"width": 200.0, "height": 2000.0}})
