@@ -70,7 +70,7 @@ branch_options = options(
 
 
 def asked_cell(
-    r1: float, r2: float, grain: str, weave: str, cells: str = "1x1", centres: str = "plane", **material: Any
+    r1: float, r2: float, grain: Any, weave: str, cells: str = "1x1", centres: Any = "plane", **material: Any
 ) -> Any:
     """The cell asked for; InputError for rings that no mesh has."""
     from rve.geometry.cell import Cell

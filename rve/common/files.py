@@ -179,7 +179,10 @@ def job(folder: AnyPath, record: str, inputs: Inputs = (), *, clears: bool = Tru
     out, inputs = Path(folder), list(inputs)
     check_out_job(out, record, inputs)
     made = [one for one in (out, *out.parents) if not one.exists()]
-    staged = Path(tempfile.mkdtemp(prefix=HIDDEN, dir=make_folder(out)))
+    try:
+        staged = Path(tempfile.mkdtemp(prefix=HIDDEN, dir=make_folder(out)))
+    except OSError as error:
+        raise InputError(f"--out = {out}: cannot be written: {error.strerror}") from error
     try:
         yield staged
         _publish(staged, out, record, inputs, clears=clears)

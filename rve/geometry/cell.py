@@ -3,38 +3,41 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
-from rve.common import InputError, as_html, read_entry
+from msgspec import Meta
+
+from rve.common import InputError, Typed, as_html
 from rve.common.materials import STEEL, Material, named_material
 from rve.common.rings import STEEL_KG_PER_MM3, Density, Length, ring_volume
 from rve.geometry.weave import FOUR_IN_ONE, WEAVES, Weave, supercell
 
-MOST_CELLS = 4
+CellCount = Annotated[int, Meta(ge=1, le=4)]
 """Primitive cells on a side of a larger one: 4 x 4 of them have 160 coordinates."""
 
 
 @dataclass(frozen=True)
-class Cell:
+class Cell(Typed):
     """The mesh: radii in mm, weave, grain ("y" or "x": the interlacing direction), density in kg/mm3, material.
 
     `material` and `weave` may be names. cells: primitive cells along the weave's a1 and a2 whose rings move
     independently, and centres: "plane" or "space", where the centres of rings may be; `rve.solve_table` and
     `rve.support` look for the largest work there. All else is of the primitive cell with centres in the plane.
-    `density` follows the material, or the material follows a density other than that of steel. Raises InputError for
-    radii that are not positive numbers, for wire too thick for the weave, and for two different densities.
+    `density` follows the material, or the material follows a density other than that of steel. InputError for
+    values out of range, for wire too thick for the weave, and for two different densities.
 
     >>> Cell(material="steel 1.4404").density, Cell(density=8e-6).material.density_kg_per_mm3
     (8e-06, 8e-06)
     """
 
-    r1: float = 5.0
-    r2: float = 0.5
+    r1: Length = 5.0
+    r2: Length = 0.5
     weave: Weave = FOUR_IN_ONE  # or its name
-    grain: str = "y"
-    density: float = STEEL_KG_PER_MM3
+    grain: Literal["y", "x"] = "y"
+    density: Density = STEEL_KG_PER_MM3
     material: Material = STEEL  # or its name, which __post_init__ replaces
-    cells: tuple[int, int] = (1, 1)
-    centres: str = "plane"
+    cells: tuple[CellCount, CellCount] = (1, 1)
+    centres: Literal["plane", "space"] = "plane"
 
     def __post_init__(self) -> None:
         if isinstance(self.material, str):
@@ -43,33 +46,24 @@ class Cell:
             if self.weave not in WEAVES:
                 raise InputError(f"weave = {self.weave!r}: is not one of {', '.join(WEAVES)}")
             object.__setattr__(self, "weave", WEAVES[self.weave])
-        for name, kind in (("r1", Length), ("r2", Length), ("density", Density)):
-            read_entry(vars(self), name, kind)
-        self._agree_on_density()
-        if self.grain not in ("x", "y"):
-            raise InputError(f"grain = {self.grain!r}: must be x or y")
-        if self.centres not in ("plane", "space"):
-            raise InputError(f"centres = {self.centres!r}: must be plane or space")
-        if len(self.cells) != 2 or not all(isinstance(n, int) and 1 <= n <= MOST_CELLS for n in self.cells):
-            raise InputError(f"cells = {self.cells!r}: must be two numbers from 1 to {MOST_CELLS}")
+        super().__post_init__()
+
+    def check(self) -> None:
+        """Make density and material agree; InputError where they contradict each other, or the wire is too thick."""
+        theirs = self.material.density_kg_per_mm3
+        if STEEL_KG_PER_MM3 not in (self.density, theirs) and self.density != theirs:
+            raise InputError(
+                f"density = {self.density:g}: {self.material.name} has {theirs:g} kg/mm3; give one of the two"
+            )
+        if self.density == STEEL_KG_PER_MM3:
+            object.__setattr__(self, "density", theirs)
+        elif theirs != self.density:
+            object.__setattr__(self, "material", replace(self.material, density_kg_per_mm3=self.density))
         limit = self.weave.jamming_ratio
         if not self.r1 / self.r2 > limit:
             raise InputError(
                 f"r2 = {self.r2}: too thick for the {self.weave.name} weave, which jams at r1/r2 = {limit:.4f}; "
                 f"here r1/r2 = {self.r1 / self.r2:.4f}"
-            )
-
-    def _agree_on_density(self) -> None:
-        theirs = self.material.density_kg_per_mm3
-        if self.density == theirs:
-            return
-        if self.density == STEEL_KG_PER_MM3:
-            object.__setattr__(self, "density", theirs)
-        elif theirs == STEEL_KG_PER_MM3:
-            object.__setattr__(self, "material", replace(self.material, density_kg_per_mm3=self.density))
-        else:
-            raise InputError(
-                f"density = {self.density:g}: {self.material.name} has {theirs:g} kg/mm3; give one of the two"
             )
 
     def stages(self, weave: Weave) -> list[Cell]:
