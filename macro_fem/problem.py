@@ -177,20 +177,9 @@ def unit_tensors(problem: CurtainProblem) -> Array:
 
 def gathered_start(problem: CurtainProblem) -> Array:
     """Positions (n_nodes, d) of the curtain drawn up into a line through its supports: slack wherever it can be."""
-    X, mask, held = problem.disc.nodes, problem.supports.mask, problem.supports.positions
-    if problem.fem.d == 3:
-        middle, A = supported_map(problem)
-        U, size, Vt = np.linalg.svd(A, full_matrices=False)
-        return np.asarray(middle + X @ (U * np.minimum(size, 1.0) @ Vt).T)
-    start = np.empty_like(X)
-    for axis in range(2):
-        nodes = mask[:, axis]
-        if np.count_nonzero(nodes) and np.ptp(X[nodes, axis]) > 0.0:
-            slope = np.polyfit(X[nodes, axis], held[nodes, axis], 1)[0]
-            start[:, axis] = np.clip(slope, 0.0, 1.0) * (X[:, axis] - X[nodes, axis].mean()) + held[nodes, axis].mean()
-        else:
-            start[:, axis] = held[nodes, axis].mean() if nodes.any() else X[:, axis].mean()
-    return start
+    middle, A = supported_map(problem)
+    U, size, Vt = np.linalg.svd(A, full_matrices=False)
+    return np.asarray(middle + problem.disc.nodes @ (U * np.minimum(size, 1.0) @ Vt).T)
 
 
 def supported_map(problem: CurtainProblem) -> tuple[Array, Array]:
