@@ -16,8 +16,8 @@ from homogenize import (
     with_material,
 )
 from macro_fem.answer import RECORD, Solution, read_job
-from macro_fem.bounds.adapt import admissible_problem
-from macro_fem.bounds.adapt import levels as refined_levels
+from macro_fem.bounds.interval import admissible_problem
+from macro_fem.bounds.interval import levels as refined_levels
 from macro_fem.curtain import solve_problem
 from macro_fem.demand.options import OnDemand
 from macro_fem.membrane import MembraneSolution

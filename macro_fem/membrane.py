@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from macro_fem.answer import Solution
-from macro_fem.bounds.adapt import Level
+from macro_fem.bounds.interval import Level
 from macro_fem.elastic_forces import with_forces
 from macro_fem.output import files
 from macro_fem.output.forces import obstacle_summary

@@ -19,7 +19,7 @@ from benchmarks.problems import square
 from homogenize.io import default_law
 from homogenize.laws.net import diagonal_net
 from homogenize.laws.protocol import MembraneLaw
-from macro_fem.bounds.adapt import Level, levels
+from macro_fem.bounds.interval import Level, levels
 from macro_fem.curtain import solve_scene
 from macro_fem.scene.schema import Scene, read_scene
 

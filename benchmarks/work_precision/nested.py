@@ -18,7 +18,7 @@ from benchmarks.measure import Row, decade, least_seconds
 from benchmarks.problems import loads, square
 from homogenize import CellInfo, LockedRows, MembraneLaw, law_interval
 from homogenize.fitting.fit import FitOptions, fit
-from macro_fem.bounds.adapt import admissible_problem
+from macro_fem.bounds.interval import admissible_problem
 from macro_fem.curtain import solve_problem
 from macro_fem.demand.directions import first_directions, rounded
 from macro_fem.demand.loop import solve_on_demand

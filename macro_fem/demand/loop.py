@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from homogenize import LawInterval, MembraneLaw
-from macro_fem.bounds.adapt import Level, admissible_problem, mark, with_cones_of
-from macro_fem.bounds.interval import Loads, bound, loads_of
+from macro_fem.bounds.interval import Level, Loads, admissible_problem, bound, loads_of, mark, with_cones_of
 from macro_fem.curtain import solve_problem
 from macro_fem.demand.directions import between, first_directions, widest
 from macro_fem.demand.options import ACCURACY

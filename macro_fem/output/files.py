@@ -24,7 +24,7 @@ from rve.common import Array, csv_text, json_text, meshes, versions, write_text
 from rve.common.factor import linear_solver
 
 if TYPE_CHECKING:
-    from macro_fem.bounds.adapt import Level
+    from macro_fem.bounds.interval import Level
 
 
 def write_summary(folder: Path, summary: dict[str, Any]) -> None:

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from homogenize.laws.net import diagonal_net
-from macro_fem.bounds.adapt import levels, mark
 from macro_fem.bounds.equilibrated import dual_mesh
-from macro_fem.bounds.interval import bound
+from macro_fem.bounds.interval import bound, levels, mark
 from macro_fem.curtain import solve_scene
 from macro_fem.fem.assembly import gradient, internal_force
 from macro_fem.scene.meshing.mesh import build_mesh

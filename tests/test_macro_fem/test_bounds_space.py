@@ -7,8 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import macro_fem
-from macro_fem.bounds.adapt import levels
-from macro_fem.bounds.interval import bound
+from macro_fem.bounds.interval import bound, levels
 from macro_fem.curtain import solve_scene
 from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.path import PathOptions

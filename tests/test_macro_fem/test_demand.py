@@ -13,8 +13,7 @@ import pytest
 
 from homogenize import default_law, law_interval, read_law_interval
 from homogenize.fitting.rows import with_mirror
-from macro_fem.bounds.adapt import admissible_problem, levels
-from macro_fem.bounds.interval import bound, loads_of
+from macro_fem.bounds.interval import admissible_problem, bound, levels, loads_of
 from macro_fem.curtain import solve_problem
 from macro_fem.demand import rings as rings_module
 from macro_fem.demand.directions import first_directions, widest
