@@ -16,17 +16,7 @@ from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
 from macro_fem.motion.pace import Failed, Frame, Mover
 from macro_fem.motion.stage import Contacts, forces_at, let_go, masses_of, scene_at, stored_energy, weights_of
-from macro_fem.motion.step import (
-    Account,
-    Moment,
-    Moving,
-    Stepped,
-    Worked,
-    difference,
-    next_account,
-    solve_step,
-    support_forces,
-)
+from macro_fem.motion.step import Account, Moment, Moving, Worked, difference, next_account, solve_step, support_forces
 from macro_fem.output import strength
 from macro_fem.output.files import write_vtu
 from macro_fem.output.pictures import figures, side_by_side
@@ -39,6 +29,7 @@ from macro_fem.scene.sites import Support
 from macro_fem.scene.tables import Item
 from macro_fem.solution import CurtainSolution, InnerForces
 from macro_fem.solvers.cones import Cones
+from macro_fem.solvers.path import PathResult
 from macro_fem.solvers.status import ROUNDING, Evidence
 from macro_fem.solvers.walls import Walls
 from rve.common import Array, InputError, NotConverged
@@ -128,7 +119,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         for reach in (way + REST, np.inf):
             contacts = Contacts(problem, balls, frame.problem, reach)
             end = solve_step(moving, change, forces, now.x, frame.cones, contacts.tangents)
-            _check(end, now.t + h)
+            _check(end.result, now.t + h)
             if not contacts.misses(end.x):
                 break
         F = [gradient(fem.disc, x) for x in (now.x, end.x)]
@@ -215,9 +206,8 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         save_panels(path, views, "at " + ", ".join(words for words, _ in steps))
 
 
-def _check(end: Stepped, t: float) -> None:
+def _check(found: PathResult, t: float) -> None:
     """Raise for a step that is not solved."""
-    found = end.result
     if found.converged or (found.evidence.is_finite and found.evidence.error <= ROUNDING):
         return
     if found.stop in ("infeasible", "blocked"):

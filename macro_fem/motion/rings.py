@@ -21,16 +21,7 @@ from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.schema import Scene
-from rve import (
-    FiniteOptions,
-    FiniteSolution,
-    RingContacts,
-    RoundBody,
-    ring_places,
-    slack_rings,
-    step_rings,
-    with_bodies,
-)
+from rve import FiniteOptions, FiniteSolution, RoundBody, ring_places, slack_rings, step_rings, with_bodies
 from rve.common import Array, InputError, NotConverged
 from rve.common.drawing.plane import new_figure, save_figure
 from rve.common.drawing.space import new_plotter
@@ -199,7 +190,7 @@ class MovingRings(Mover[RingFrame, RingScene]):
     def unpack(self, moment: Moment, account: Account, kept: dict[str, Any]) -> RingFrame:
         asked, n = self.at(moment.t), len(self.first.mesh.X)
         axes, (least, intact, residual) = moment.x[n : 2 * n], kept["told"].tolist()
-        contacts = {name: kept[name] for name in CONTACTS}
+        contacts = {name: kept[name] for name in CONTACTS} | {"min_gap_mm": least, "links_intact": bool(intact)}
         bodies = [body.moved(place) for body, place in zip(self.bodies, moment.x[2 * n :], strict=True)]
         rings = replace(
             self.slack,
@@ -207,7 +198,7 @@ class MovingRings(Mover[RingFrame, RingScene]):
             normal=axes / np.linalg.norm(axes, axis=1)[:, None],
             load=asked.force,
             reaction=kept["reaction"],
-            contacts=RingContacts(**contacts, min_gap_mm=least, links_intact=bool(intact)),
+            contacts=replace(self.slack.contacts, **contacts),
             walls=(*asked.walls, *bodies),
             wall_force=kept["wall_force"],
             kkt_residual=residual,

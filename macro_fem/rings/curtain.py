@@ -12,11 +12,10 @@ from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
 from macro_fem.fem.cells import recovered, triangle_areas
 from rve import Cell, cell_of_sides
-from rve.common import Array, InputError, Typed, check_belongs, read_json_object, read_typed
+from rve.common import Array, Index, InputError, Rows, Typed, check_belongs, read_json_object, read_typed
 from rve.common.meshes import DISPLACEMENT, LINE_LOAD_1, STATE, STRAIN, STRESS, read_mesh_file
 from rve.common.rings import check_rings
 
@@ -78,11 +77,11 @@ class Curtain:
 
     X: Array
     x: Array
-    triangles: NDArray[np.intp]
+    triangles: Index
     E: Array
     S: Array
     line_load: Array
-    state: NDArray[np.intp]
+    state: Index
     told: Told = Told(0.0, None)
     source: str = "a curtain in memory"
 
@@ -93,6 +92,15 @@ class Curtain:
             (one[:, 1:] - one[:, :1]).transpose(0, 2, 1) for one in (self.X[self.triangles], self.x[self.triangles])
         )
         return np.asarray(dx @ np.linalg.inv(dX))
+
+
+@dataclass(frozen=True)
+class Sites(Rows):
+    """Where rings belong: index (n, 3) = class, i, j; X (n, 2) in mm before; triangle (n,) around them."""
+
+    index: Index
+    X: Array
+    triangle: Index
 
 
 def curtain_of(mesh: Any, told: Told, source: str) -> Curtain:

@@ -12,21 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from macro_fem.fem.cells import padded
-from macro_fem.rings.curtain import Curtain
+from macro_fem.rings.curtain import Curtain, Sites
 from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestPoses
-from rve.common import (
-    Array,
-    Index,
-    Rows,
-    as_html,
-    check_out_job,
-    csv_text,
-    job,
-    json_text,
-    require,
-    versions,
-    write_text,
-)
+from rve.common import Array, Index, as_html, check_out_job, csv_text, job, json_text, require, versions, write_text
 from rve.common.drawing.page import check_page, write_page
 from rve.common.drawing.space import check_render, save_picture
 
@@ -44,15 +32,6 @@ def check_outputs(folder: str | Path, inputs: Iterable[str | Path | None], *, pi
     if html:
         check_page("rings.html", "leave out --html")
     check_out_job(folder, RECORD, inputs=inputs)
-
-
-@dataclass(frozen=True)
-class Sites(Rows):
-    """Where rings belong: index (n, 3) = class, i, j; X (n, 2) in mm before; triangle (n,) around them."""
-
-    index: Index
-    X: Array
-    triangle: Index
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from msgspec import Meta
 from scipy.spatial.transform import Rotation
 
 from macro_fem.fem.cells import mean_at_corners, padded, signed_areas
-from macro_fem.rings.curtain import Curtain, curtain_file, read_curtain
-from macro_fem.rings.field import RingField, Sites, WorstCell, check_outputs
+from macro_fem.rings.curtain import Curtain, Sites, curtain_file, read_curtain
+from macro_fem.rings.field import RingField, WorstCell, check_outputs
 from rve import (
     Cell,
     NearestPoses,
