@@ -23,7 +23,7 @@ from macro_fem.solvers.cone_step import advance, find_nearest, find_step, join, 
 from macro_fem.solvers.cones import first_cones, least_slack
 from macro_fem.solvers.path import PATH, RIGID_TERMS, PathOptions, PathResult, Terms
 from macro_fem.solvers.status import FREE, Evidence, Reach, load_scale
-from macro_fem.solvers.walls import rows_of
+from macro_fem.solvers.walls import WallRows, Walls
 from rve.common import Array, tell, way
 
 SETTLED = 1e-2
@@ -111,7 +111,7 @@ def solve_path(
         R=compliance_root(terms.compliance),
         scale=loads * size + (0.0 if inertia is None else inertia.energy_scale),
         total=loads + (0.0 if inertia is None else inertia.force_scale),
-        rows=rows_of(fem, terms.walls, size),
+        rows=WallRows(fem, terms.walls or Walls.none(fem.d), size),
         inertia=inertia,
     )
     first = _Place.at(program, find_first_state(program, start, options.first_gap))

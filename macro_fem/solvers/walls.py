@@ -76,20 +76,24 @@ class Walls(Rows):
 
 @dataclass(frozen=True, eq=False)
 class WallRows:
-    """The half-spaces of `walls` that unknowns can meet, marked by `is_movable`, as rows of a program.
+    """The half-spaces of `walls` that unknowns can meet as rows of a program; there may be none. The others must hold.
 
-    Slacks s = A z + b0 are in units of `size` mm, weights v (m,) in mm2; there may be no rows.
+    Slacks s = A z + b0 are in units of `size` mm, weights v (m,) in mm2.
     """
 
     fem: SupportedFem
     walls: Walls
-    is_movable: np.ndarray
     size: float
+
+    @cached_property
+    def is_row(self) -> np.ndarray:
+        """Which half-spaces are rows."""
+        return self.walls.is_movable(self.fem)
 
     @cached_property
     def rows(self) -> Walls:
         """The half-spaces that are rows."""
-        return self.walls.take(self.is_movable)
+        return self.walls.take(self.is_row)
 
     @cached_property
     def A(self) -> sparse.csr_matrix:
@@ -116,7 +120,7 @@ class WallRows:
     def reactions(self, u: Array) -> Array:
         """The pushes of all half-spaces, N, at dual variables u (m,): none of those that are no rows."""
         out = np.zeros(len(self.walls))
-        out[self.is_movable] = self.v * u / self.size
+        out[self.is_row] = self.v * u / self.size
         return out
 
     def added(self, weight: Array) -> Array:
@@ -134,15 +138,6 @@ class WallRows:
         place = self.fem.pattern.place(component[row, a], component[row, b])
         is_stored = place >= 0
         return place[is_stored], row[is_stored], (entry[row, a] * entry[row, b])[is_stored]
-
-
-def rows_of(fem: SupportedFem, walls: Walls | None, size: float) -> WallRows:
-    """The rows of half-spaces in units of `size` mm; ValueError if a held node is beyond one that no unknown moves."""
-    walls = Walls.none(fem.d) if walls is None else walls
-    beyond = walls.stuck(fem)
-    if beyond > TOUCHED * size:
-        raise ValueError(f"a held node is {beyond:g} mm beyond a half-space")
-    return WallRows(fem, walls, walls.is_movable(fem), size)
 
 
 def longest(s: Array, ds: Array) -> float:

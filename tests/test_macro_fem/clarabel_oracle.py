@@ -26,7 +26,7 @@ from macro_fem.solvers.cone_program import REACH
 from macro_fem.solvers.cones import Cones, all_cuts, first_cones, green_strain, least_slack, with_cuts
 from macro_fem.solvers.path import PathResult
 from macro_fem.solvers.status import FREE, Evidence, Reach, load_scale
-from macro_fem.solvers.walls import WallRows, Walls, rows_of
+from macro_fem.solvers.walls import WallRows, Walls
 from rve.common import Array
 from rve.common.progress import tell
 
@@ -56,7 +56,7 @@ def solve_clarabel(
     `walls` are half-spaces on nodes, further linear rows of the program.
     """
     total = load_scale(load, fem.disc.weight)
-    F0, rows = fem.gradient(np.zeros(fem.n)).ravel(), rows_of(fem, walls, size)
+    F0, rows = fem.gradient(np.zeros(fem.n)).ravel(), WallRows(fem, walls or Walls.none(fem.d), size)
     task = _Task(fem, load, size, total, gradient_matrix(fem), F0, rows, rows.A)
     cones = first_cones(law.half_spaces(), len(fem.disc.weight))
     tell("clarabel, round 1")

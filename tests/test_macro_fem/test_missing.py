@@ -12,7 +12,7 @@ from macro_fem.solvers.cone_program import Program, compliance_root, find_first_
 from macro_fem.solvers.cone_step import find_nearest, find_step
 from macro_fem.solvers.cones import Cones, all_cuts, first_cones, green_strain, with_cuts
 from macro_fem.solvers.path import PathOptions
-from macro_fem.solvers.walls import rows_of
+from macro_fem.solvers.walls import WallRows, Walls
 from rve.common.tensor import double_dot, trace
 from tests.test_macro_fem.sheets import posed
 
@@ -33,7 +33,7 @@ def begun(problem):
     load, z = fem.gather(problem.force), fem.unknowns(gathered_start(problem))
     total = np.abs(load).sum()
     cones = first_cones(problem.law.half_spaces(), len(fem.disc.weight))
-    R, rows = compliance_root(np.zeros((3, 3))), rows_of(fem, None, 140.0)
+    R, rows = compliance_root(np.zeros((3, 3))), WallRows(fem, Walls.none(2), 140.0)
     program = Program(fem, problem.law, load, cones, R, 140.0 * total, total, rows)
     return program, find_first_state(program, z, PathOptions.first_gap)
 

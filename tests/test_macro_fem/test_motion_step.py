@@ -26,7 +26,7 @@ from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.cones import green_strain
 from macro_fem.solvers.path import Inertia
-from macro_fem.solvers.walls import Walls, rows_of
+from macro_fem.solvers.walls import WallRows, Walls
 
 BALL = 0.5e-3
 """Mass in N s2/mm of the ball: 0.5 kg."""
@@ -187,7 +187,7 @@ def test_matrix_of_loose_nodes_is_that_of_dense_algebra(is_tied):
     node = np.column_stack([rng.integers(0, n, m), n + rng.integers(0, 2, m)])
     at = Points(node, np.tile([1.0, -1.0], (m, 1)))
     walls = Walls(at, rng.normal(size=(m, 3)), np.zeros(m), np.zeros(m, int))
-    rows, W = rows_of(loose, walls, 1.0), rng.normal(size=(n + 2, 3, 3))
+    rows, W = WallRows(loose, walls, 1.0), rng.normal(size=(n + 2, 3, 3))
     W = W @ W.transpose(0, 2, 1)
     inertia = Inertia(loose, W, rng.normal(size=(n + 2, 3)))
     weight = rng.uniform(0.1, 1.0, m)
