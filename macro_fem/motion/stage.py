@@ -15,7 +15,7 @@ from macro_fem.motion.step import Forces, Moment, Stepped
 from macro_fem.problem import CurtainProblem, placed_obstacles, tangent_walls, touching_walls
 from macro_fem.scene.loads import BREEZE, PER_MM2, areal_mass, bar_masses, breeze, nodal_forces
 from macro_fem.scene.moving import Ball, at_time
-from macro_fem.scene.obstacles import PlacedObstacle, unit
+from macro_fem.scene.obstacles import unit
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Timed, Wind
 from macro_fem.solution import CurtainSolution
@@ -127,7 +127,7 @@ class Contacts:
         self.problem, self.balls, self.way = problem, balls, way
         self.near: dict[int, np.ndarray] = {}
         self.obstacles = placed_obstacles(problem)
-        self.before = {one.number: one for one in placed_obstacles(before)} if before is not None else {}
+        self.before = placed_obstacles(before or problem)
         self.n = problem.disc.n_nodes
 
     def tangents(self, x: Array) -> Walls:
@@ -189,17 +189,15 @@ class Contacts:
 
     def work(self, end: Stepped, x: Array) -> tuple[float, float]:
         """Pushes times the moves of obstacles along them, and pushes times the gaps at the start x (n, d), N mm."""
-        moved, touched, after = 0.0, 0.0, {one.number: one for one in self.obstacles}
+        moved, touched = 0.0, 0.0
         for number in np.unique(end.walls.owner):
             which = np.flatnonzero(end.walls.owner == number)
             own, push = end.walls.take(which), end.result.wall_forces[which]
             if number < 0:
                 touched += float(push @ (np.linalg.norm(own.at.places(x), axis=1) - own.offset))
                 continue
-            old: PlacedObstacle | None = self.before.get(int(number))
-            if old is None:
-                continue
-            offset = after[int(number)].offset(own.normal)  # less than a ball's by its radius
+            old, new = self.before[number], self.obstacles[number]
+            offset = new.offset(own.normal)  # less than a ball's by its radius
             moved += float(push @ (offset - old.offset(own.normal)))
             touched += float(push @ (old.gap(own.at.places(x)) - (own.offset - offset)))
         return moved, touched
