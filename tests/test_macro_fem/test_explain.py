@@ -1,5 +1,7 @@
 """What a curtain leaves out: the same answer with it forced."""
 
+import pytest
+
 from benchmarks.omissions import curtains
 from benchmarks.problems import square
 from homogenize import default_law
@@ -11,6 +13,7 @@ from macro_fem.scene.schema import read_scene
 LAW = default_law()
 
 
+@pytest.mark.slow
 def test_forced_features_of_curtains_change_no_result(monkeypatch):
     """All half-spaces from the start, nodes that may leave the plane, unneeded ties."""
     monkeypatch.setattr(curtains, "least_seconds", lambda call, **how: (call(), 1.0))

@@ -54,7 +54,7 @@ def test_the_dead_load_is_the_gradient_of_its_work_and_its_jacobian_is_symmetric
     assert np.abs(J[:3, :3] - np.diag(np.diag(J[:3, :3]))).max() > 0.1  # the bilinear lattice takes part
 
 
-@pytest.mark.parametrize("ratio", [5.0, 10.0])
+@pytest.mark.parametrize("ratio", [5.0, pytest.param(10.0, marks=pytest.mark.slow)])
 def test_dead_and_cauchy_loads_lock_in_one_state_where_it_is_unique(ratio):
     cell = Cell(5.0, 5.0 / ratio)
     table = solve_table(cell, grid(15.0))
