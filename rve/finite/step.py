@@ -32,17 +32,17 @@ from rve.finite.walls import HalfSpace, Obstacle, RoundBody, flat
 from rve.geometry.cell import Cell
 from rve.geometry.circles import cross, rotation
 
-STEP = FiniteOptions(tolerance=1e-10, retries=0, max_iterations=100)
-"""Options of a step."""
-PATHS = ((1e-8, 1e-8), (1e-5, 1e-9), (1e-4, 1e-10), (1e-4, 1e-8))
-"""First and last mu, tried in this order. Most steps need no path. Where many contacts open and close, the way at a
-small mu is in short parts, and at a larger one minima of distances split and merge without end: a minimum about to
+STEP = tuple(
+    FiniteOptions(tolerance=1e-10, retries=0, max_iterations=100, first=first, last=last)
+    for first, last in ((1e-8, 1e-8), (1e-5, 1e-9), (1e-4, 1e-10), (1e-4, 1e-8))
+)
+"""Options of a step, tried in this order. Most steps need no path of mu. Where many contacts open and close, the way at
+a small mu is in short parts, and at a larger one minima of distances split and merge without end: a minimum about to
 split has one force or two beside each other, and there may be no equilibrium with either. The curvature below which
 this is so falls with the root of the gap, so few are left at the end of a path, and others at another end."""
 REST_MU, REST_RETRIES, REST_ITERATIONS = 1e-3, 8, 300
 """First mu, lifts of mu and iterations with which the equilibrium near a motion is found, or the motion goes on."""
-ROUGH = FiniteOptions(tolerance=1e-4, retries=0, max_iterations=40)
-ROUGH_PATHS = ((1e-4, 1e-4),)
+ROUGH = (FiniteOptions(tolerance=1e-4, retries=0, max_iterations=40, first=1e-4, last=1e-4),)
 """Those of a step on the way to rest."""
 LONGEST = 0.4
 """Way in r1 of the fastest ring without contacts in one step, and of a held ring or a half-space."""
@@ -108,7 +108,7 @@ def with_bodies(rings: FiniteSolution, bodies: Sequence[RoundBody]) -> FiniteSol
 def _without_forces(problem: Problem, centre: Array, normal: Array, status: str = "converged") -> FiniteSolution:
     """Rings with these centres (n, 3) in mm and normals (n, 3), without forces: at rest, or none of the load borne."""
     task = problem.task(1.0)
-    touching = task.find(problem.placed(centre, normal), STEP.reach)
+    touching = task.find(problem.placed(centre, normal), FiniteOptions.reach)
     found = Found(touching, np.zeros(len(touching.gap)), status, float(status != "converged"), ())
     return as_solution(problem, task, found)
 
@@ -130,16 +130,11 @@ def step_rings(
     as at the start, half-spaces where they are at the end, balls from where they are at the start. A step that has not
     converged has its status.
     """
-    return _step(Problem(start.mesh, force, held, at, start.is_space, tuple(walls)), start, weight, aim, STEP, PATHS)
+    return _step(Problem(start.mesh, force, held, at, start.is_space, tuple(walls)), start, weight, aim, STEP)
 
 
 def _step(
-    problem: Problem,
-    start: FiniteSolution,
-    weight: Array,
-    aim: Array,
-    options: FiniteOptions,
-    paths: Sequence[tuple[float, float]],
+    problem: Problem, start: FiniteSolution, weight: Array, aim: Array, tries: Sequence[FiniteOptions]
 ) -> RingStep:
     """`step_rings` to the supports and half-spaces of a problem."""
     mesh, r1, n = start.mesh, start.mesh.cell.r1, len(start.centre)
@@ -147,8 +142,8 @@ def _step(
     load = float(np.abs(problem.force).sum() + np.abs([wall.load for wall in problem.walls]).sum() + inert.sum())
     load = max(load, _STILL * r1 * float(weight.sum()))
     task = problem.task(load)
-    # Of short steps places to round-off leave more.
-    tolerance = max(options.tolerance, np.finfo(float).eps * float(weight @ np.abs(aim).max(axis=1)) / load)
+    # Of short steps places to round-off leave more than the tolerance.
+    least = np.finfo(float).eps * float(weight @ np.abs(aim).max(axis=1)) / load
     # Points beside soft minima would come and go from step to step, and inertia holds what they are for.
     radius, none = gyration_radius(mesh.cell), np.zeros((len(problem.walls), 3))
     loose = n + np.flatnonzero([isinstance(wall, RoundBody) for wall in problem.walls])
@@ -158,15 +153,15 @@ def _step(
     inertia = RingInertia(heavy * r1 / task.unit, place, turning * radius**2 / (task.unit * r1), normal)
     task = replace(task, inertia=inertia, beside=False)
     placed = replace(problem, walls=start.walls).placed(start.centre, start.normal)
-    touching = find_touching(placed, task.linked, task.wire, options.reach)
-    for first, last in paths:
-        tuned = replace(options, first=first, last=last, tolerance=tolerance)
-        found = solve_near(task, touching, _forces(start, task, touching, first), tuned)
+    touching = find_touching(placed, task.linked, task.wire, FiniteOptions.reach)
+    for options in tries:
+        tuned = replace(options, tolerance=max(options.tolerance, least))
+        found = solve_near(task, touching, _forces(start, task, touching, options.first), tuned)
         if found.status == "converged":
             break
     rings, con = as_solution(problem, task, found), found.touching
     own = nearest(con, touching)
-    closed = np.maximum(np.where(own >= 0, touching.gap[own], options.reach) - con.gap, 0.0)
+    closed = np.maximum(np.where(own >= 0, touching.gap[own], FiniteOptions.reach) - con.gap, 0.0)
     pushes = task.unit * spread(con, gradients(con), found.force)
     torque = r1 * rotation(rings.normal, pushes[:n, 3:])
     drawn = weight[n : 2 * n] * (rings.normal * (radius * rings.normal - aim[n : 2 * n])).sum(axis=1)
@@ -201,7 +196,7 @@ def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
         walls = [replace(w, offset=w.offset + part * d) for w, d in zip(planes_now, walls_way, strict=True)]
         places = ring_places(rings)
         there = replace(problem, at=rings.centre + part * way, walls=tuple(walls))
-        end = _step(there, rings, load / h**2, places + h * v, ROUGH, ROUGH_PATHS).rings
+        end = _step(there, rings, load / h**2, places + h * v, ROUGH).rings
         history += end.history
         if end.status != "converged":
             share, v = SHORTER * share, np.zeros_like(v)
