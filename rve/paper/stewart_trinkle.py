@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import nnls
 
 from rve.common import Array, Flags, Index, Rows, tell, way
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, unit_loads
@@ -21,7 +22,6 @@ from rve.equilibrium.system import Equations, lattice_load
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import CellContacts, find_contacts
 from rve.geometry.pose import Pose, moved, reduction, start_pose
-from rve.paper.contact_qp import Programme, solve_contact_step
 from rve.paper.dynamics import Dynamics, StewartTrinkleOptions
 from rve.solve import BLOCK, checked_angles, locked_states, reference_sides, table_provenance, table_rows
 from rve.table import StrainTable
@@ -153,7 +153,7 @@ def _tried(
     force = np.matmul(motion.v[:, None, :], dynamics.mass)[:, 0] / h[:, None]
     force[:, :4] += start.load
     b = np.matmul(Tt, force[..., None])[..., 0]
-    w, lam, is_solved = solve_contact_step(Programme(A, b, start.G, start.gap, start.k))
+    w, lam, is_solved = solve_contact_step(A, b, start.G, start.gap, start.k)
     v = np.matmul(T, w[..., None])[..., 0] / h[:, None]
     pose = moved(motion.pose, w)
     contacts = find_contacts(pose, equations.weave, equations.wire, options.reach)
@@ -163,6 +163,33 @@ def _tried(
     good = is_solved & contacts.links_intact & (change <= ROUND_OFF) & near
     R, lam = dynamics.weighted_load(v, motion.v, h, start.load), lam.reshape(motion.lam.shape)
     return replace(motion, pose=pose, contacts=contacts, lam=lam, v=v, R=R), change, good
+
+
+def solve_contact_step(A: Array, b: Array, G: Array, gap: Array, k: Array) -> tuple[Array, Array, Flags]:
+    """Displacements w (n, m) and forces lam (n, c) >= 0 of compliant contact over one step, and which are solved, (n,):
+
+        A w = b + G^T lam,    0 <= lam  _|_  gap + G w + lam/k >= 0,
+
+    for A (n, m, m) positive definite, b (n, m), G (n, c, m), gap and stiffness k (n, c), 0 for slots without a contact.
+    With A = L L^T the forces are where |L^-1 (b + G^T lam)|^2 + |lam/sqrt(k) + sqrt(k) gap|^2 is least.
+
+    >>> one = np.ones((1, 1))
+    >>> solve_contact_step(one[:, None], -2 * one, one[:, None], 0 * one, 3 * one)[:2]
+    (array([[-0.5]]), array([[1.5]]))
+    """
+    L, lam, is_solved = np.linalg.cholesky(A), np.zeros(gap.shape), np.ones(len(b), dtype=bool)
+    force, ways = np.linalg.solve(L, b[..., None])[..., 0], np.linalg.solve(L, G.transpose(0, 2, 1))
+    for i, there in enumerate(k > 0.0):
+        root = np.sqrt(k[i, there])
+        if not len(root):  # nnls takes no empty matrix
+            continue
+        try:
+            matrix = np.vstack([ways[i][:, there], np.diag(1.0 / root)])
+            lam[i, there] = nnls(matrix, -np.concatenate([force[i], root * gap[i, there]]))[0]
+        except RuntimeError:  # its limit of iterations
+            is_solved[i] = False
+    balance = b + np.matmul(lam[:, None, :], G)[:, 0]
+    return np.linalg.solve(A, balance[..., None])[..., 0], lam, is_solved
 
 
 def begin(s: Array, equations: Equations, options: StewartTrinkleOptions) -> CellMotion:

@@ -1,13 +1,11 @@
-"""The batched contact step against independent solvers of the same convex programme."""
+"""The contact step: its conditions, which have one solution."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.linalg import solve_triangular
-from scipy.optimize import nnls
 
-from rve.paper.contact_qp import Programme, solve_contact_step
+from rve.paper.stewart_trinkle import solve_contact_step
 
 
 def programme(rng, n, c, stiffness):
@@ -18,29 +16,32 @@ def programme(rng, n, c, stiffness):
     return A, rng.normal(size=(n, 9)), rng.normal(size=(n, c, 9)), rng.normal(size=(n, c)) * 0.1, k
 
 
-def dual_forces(A, b, G, gap, k):
-    """Contact forces of one case by non-negative least squares on the dual."""
-    if not len(k):
-        return np.zeros(0)  # scipy's nnls aborts the interpreter on an empty matrix
-    inverse = np.linalg.inv(A)
-    L = np.linalg.cholesky(np.diag(1.0 / k) + G @ inverse @ G.T)
-    lam, _ = nnls(L.T, -solve_triangular(L, gap + G @ inverse @ b, lower=True))
-    return lam
-
-
 @settings(deadline=None, max_examples=30)
-@given(seed=st.integers(0, 10**6), contacts=st.integers(1, 20), power=st.integers(0, 5))
-def test_forces_are_those_of_non_negative_least_squares(seed, contacts, power):
+@given(seed=st.integers(0, 10**6), contacts=st.integers(1, 20), power=st.integers(0, 9))
+def test_balance_and_complementarity_hold_in_every_step(seed, contacts, power):
     A, b, G, gap, k = programme(np.random.default_rng(seed), 6, contacts, 10.0**power)
-    _, forces, converged = solve_contact_step(Programme(A, b, G, gap, k))
-    assert converged.all()
-    for i in range(6):
-        real = k[i] > 0.0
-        lam = dual_forces(A[i], b[i], G[i][real], gap[i][real], k[i][real])
-        assert forces[i][real] == pytest.approx(lam, rel=1e-7, abs=1e-7 * max(1.0, lam.max(initial=0.0)))
-        assert np.all(forces[i][~real] == 0.0)
+    w, lam, is_solved = solve_contact_step(A, b, G, gap, k)
+    assert is_solved.all()
+    assert (lam >= 0.0).all()
+    assert not lam[k == 0.0].any()
+    force = np.einsum("ncm,nc->nm", G, lam)
+    assert np.einsum("nij,nj->ni", A, w) == pytest.approx(b + force, abs=1e-9 * max(1.0, np.abs(force).max()))
+    real, size = k > 0.0, np.abs(G).sum(axis=2) * np.abs(w).max(axis=1)[:, None] + np.abs(gap)
+    left = gap + np.einsum("ncm,nm->nc", G, w) + lam / np.where(real, k, 1.0)
+    assert left[real].min(initial=0.0) > -1e-8 * size.max()
+    assert np.abs(lam * left)[real].max(initial=0.0) < 1e-8 * size.max() * max(1.0, lam.max())
 
 
-def test_a_step_that_is_cut_short_says_so():
+def test_no_case_depends_on_the_others():
     problem = programme(np.random.default_rng(4), 20, 15, 1e4)
-    assert not solve_contact_step(Programme(*problem), max_iterations=1)[2].all()
+    together, alone = solve_contact_step(*problem), solve_contact_step(*(part[7:8] for part in problem))
+    assert np.array_equal(together[0][7], alone[0][0])
+    assert np.array_equal(together[1][7], alone[1][0])
+
+
+def test_a_step_whose_forces_are_not_found_says_so(monkeypatch):
+    def fails(*_):
+        raise RuntimeError
+
+    monkeypatch.setattr("rve.paper.stewart_trinkle.nnls", fails)
+    assert not solve_contact_step(*programme(np.random.default_rng(4), 3, 15, 1e4))[2].any()
