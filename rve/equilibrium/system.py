@@ -14,7 +14,7 @@ import numpy as np
 
 from rve.common import Array, Rows
 from rve.geometry.contacts import CellContacts, distance_gradient, distance_hessian, find_contacts
-from rve.geometry.pose import Pose, moved, pair_maps, place_maps, reduction, turns_of
+from rve.geometry.pose import Pose, pair_maps, place_maps, reduction, turns_of
 from rve.geometry.weave import Weave
 
 _TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
@@ -116,7 +116,8 @@ def mirror_modes(weave: Weave) -> Array:
 class Equations:
     """What does not change during a solve: weave, wire = r2/r1, pair maps, mass matrix, the modes that may move, load.
 
-    modes (m, k): motions as combinations of the m reduced coordinates; the identity leaves all of them free.
+    modes (m, k): motions as combinations of the m reduced coordinates; the identity leaves all of them free. middle
+    (i, j): the second ring is kept at (i a1 + j a2)/2, so that modes of the lattice carry it along (`symmetry`).
     is_relative: s are line loads, of which only the directions count, and residuals are measured against them, not
     against 1. idle: contacts with no more force get no curvature in J.
     """
@@ -127,6 +128,7 @@ class Equations:
     mass: Array
     modes: Array
     load: Force = cauchy_load
+    middle: tuple[int, int] | None = None
     is_relative: bool = True
     idle: float = IDLE
 
@@ -140,9 +142,25 @@ class Equations:
         """Every contact of these poses whose gap is below `reach` (in r1)."""
         return find_contacts(pose, self.weave, self.wire, reach)
 
-    def moved(self, pose: Pose, y: Array) -> Pose:
-        """The poses after motions with the mode amplitudes y (n, k)."""
-        return moved(pose, np.matmul(self.modes, y[..., None])[..., 0])
+    def motions(self, pose: Pose) -> Array:
+        """The modes at these poses, (n, m, k), or (1, m, k) where they are the same for all."""
+        if self.middle is None:
+            return self.modes[None]
+        i, j = self.middle
+        x2, y3, t = pose.lattice.T
+        B = np.tile(self.modes, (len(t), 1, 1))
+        B[:, 3, 0], B[:, 3, 1], B[:, 3, 2] = 0.5 * i, 0.5 * j * t, 0.5 * j * y3
+        B[:, 4, 0], B[:, 4, 1], B[:, 4, 2] = 0.5 * i * t, 0.5 * j, 0.5 * i * x2
+        return B
+
+    def displacement(self, y: Array, pose: Pose) -> Array:
+        """Reduced displacement (n, m) from a pose by the mode amplitudes y (n, k)."""
+        v = np.matmul(self.motions(pose), y[..., None])[..., 0]
+        if self.middle is not None:  # a1y = t x2 and a2x = t y3 are bilinear, and the second ring follows them
+            i, j = self.middle
+            v[:, 3] += 0.5 * j * y[:, 1] * y[:, 2]
+            v[:, 4] += 0.5 * i * y[:, 0] * y[:, 2]
+        return v
 
     def gap_derivatives(
         self, pose: Pose, contacts: CellContacts, T: Array, lam: Array, least: float
@@ -176,7 +194,10 @@ class Equations:
         add_lattice_curvature(J, np.concatenate(shares, axis=1))
 
         M = np.matmul(np.matmul(T.transpose(0, 2, 1), self.mass), T)
-        B, Bt = self.modes, self.modes.T
+        B = self.motions(pose)
+        Bt = B.transpose(0, 2, 1)
         f, M, J = np.matmul(Bt, f[..., None])[..., 0], Bt @ M @ B, Bt @ J @ B
+        if self.middle is not None:
+            add_lattice_curvature(J, 0.5 * np.concatenate([part * r[:, 3:5] for part in self.middle], axis=1))
         size = weighted_size(f, M) if self.is_relative else np.ones(n)
         return System(np.matmul(Bt, r[..., None])[..., 0], f, J, G @ B, M, size)

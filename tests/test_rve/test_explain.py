@@ -18,7 +18,7 @@ from rve.solve import solve_table
 # Strains end at mu_end / force: 1e-13 over forces of 1e-4 and more.
 TOLERANCE = 1e-9
 LOADS = np.array([0.0, 20.0, 45.0, 10.0]), np.array([45.0, 30.0, 60.0, 80.0])
-DIRECT = {"motion", "unlisted-pairs", "attempts", "limits"}
+DIRECT = {"motion", "asymmetry", "unlisted-pairs", "attempts", "limits"}
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def said(table):
 
 def test_the_words_agree_with_the_work(plain):
     work = plain.provenance["work"]
-    assert (work["cases"], work["retried"], work["limits"]) == (4, 0, 0)
+    assert (work["cases"], work["symmetric"], work["retried"], work["limits"]) == (4, 4, 0, 0)
     assert f"{work['least_near']} to {work['most_near']} of " in said(plain)["unlisted-pairs"]["why"]
     assert set(said(plain)) == DIRECT
     assert not any(row["used"] for row in said(plain).values())
