@@ -207,6 +207,7 @@ def test_rows_that_keep_contradicting_each_other_are_no_converged_answer(known_r
     assert "largest work" in found.message
 
 
+@pytest.mark.slow
 def test_limits_are_named(known_rings):
     mesh = solve_on_demand(square(), Cell(), 1e-3, limits=Limits(cells=100))
     assert mesh.status == "mesh_limit"
@@ -313,6 +314,7 @@ def test_the_summary_tells_interval_parts_and_questions(known_rings, tmp_path):
     assert "rings" in summary["interval"]
 
 
+@pytest.mark.slow
 def test_other_loads_than_the_weight_give_an_interval_of_the_potential(known_rings):
     load = {"point": [{"at": [50.0, 0.0], "force": [0.01, -0.01]}], "steps": 2}
     result = solve(square("top", load=load), OnDemand(Cell(), 0.1))

@@ -192,6 +192,7 @@ def test_reaction_of_a_moving_sphere_is_the_slope_of_the_potential(fitted_law, s
     assert_balanced(here)
 
 
+@pytest.mark.slow
 def test_summary_tells_reaction_and_displacement_step_by_step(fitted_law, scene_tables):
     tables = pushed(scene_tables, 45.0, name="shoulder")
     tables["load"] = {**tables["load"], "steps": 3}

@@ -66,6 +66,7 @@ def test_factors_scale_forces_of_a_shape_that_stays():
     assert [row["combination"] for row in envelope["support_forces"]] == ["all"] * 2
 
 
+@pytest.mark.slow
 def test_a_combination_scales_every_kind_of_load():
     scene = Scene(
         Rectangle(100.0, 80.0),
@@ -139,6 +140,7 @@ def test_the_largest_pitch_divides_the_edge_and_the_next_one_does_not_hold(tmp_p
     assert solve(pitch).safety_factor == pytest.approx(found["safety_factor"], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_an_outline_goes_to_cad_and_back(tmp_path):
     """A pentagon with a hole: the same area and corners, and refusals in a sentence."""
     import ezdxf

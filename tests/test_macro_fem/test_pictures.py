@@ -59,6 +59,7 @@ def test_a_picture_and_a_film_with_a_frame_per_load_step(kind, request, tmp_path
     assert 1e-3 < changed < 0.5
 
 
+@pytest.mark.slow
 def test_rings_of_a_curtain_in_space_are_those_of_its_files_and_lie_on_it(hammock, tmp_path):
     hammock.save(tmp_path / "curtain", picture=False)
     window = macro_fem.LocalizeOptions(window=(60.0, 40.0, 130.0, 110.0))

@@ -126,6 +126,7 @@ def test_a_falling_sheet_lands_on_a_floor():
     assert told["lost_by_locking_N_mm"][-1] > 0.0
 
 
+@pytest.mark.slow
 def test_a_ball_that_strikes_a_sheet_without_supports_keeps_momentum_and_links():
     """And none of its wires is inside the ball, by sampling: the ball is kept off, not through a hole."""
     ball = {"kind": "sphere", "radius": 8.0, "mass": 0.02, "at": [0.5 * W, 0.5 * H, 14.0], "velocity": [0, 0, -1500.0]}

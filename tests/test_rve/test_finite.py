@@ -361,6 +361,7 @@ def test_supports_out_of_reach_have_no_forces_and_say_how_far_they_are():
     assert 0.5 * (33.0 - 4 * 4.5) < short < 11.0
 
 
+@pytest.mark.slow
 def test_an_impossible_tolerance_stalls_in_bounded_work_at_an_answer_that_is_good():
     mesh = FiniteMesh.rectangle(Cell(), 1, 1)
     problem = hung(mesh, top_of(mesh))
@@ -476,6 +477,7 @@ def test_a_mesh_comes_to_lie_flat_on_a_floor_that_carries_all_of_it():
     assert np.abs(over(found, floor)).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_rings_that_slide_over_a_floor_come_to_rest():
     """They are damped, so that a step gains little; mu fell, and their steps with its root, for 1000 iterations."""
     mesh = FiniteMesh.rectangle(Cell(), 4, 2)
