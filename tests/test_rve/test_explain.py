@@ -39,6 +39,7 @@ def test_the_words_agree_with_the_work(plain):
     assert not any(row["used"] for row in said(plain).values())
 
 
+@pytest.mark.slow
 def test_limits_and_further_attempts_are_told():
     """A pull at 25 degrees leaves the strain free; at r1/r2 = 50 nearly uniaxial loads take further attempts."""
     free = said(solve_table(Cell(), ([25.0, 30.0], [0.0, 30.0])))["limits"]
