@@ -25,7 +25,7 @@ from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Combination
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.status import Status
-from rve.common import InputError, check_out_file, csv_text, require, tell, write_text
+from rve.common import InputError, check_out_file, csv_text, tell, write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -103,7 +103,6 @@ class MembraneSolution(Solution):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Line loads of the deformed curtain with their directions, on `ax` or axes of their own (matplotlib)."""
-        require("matplotlib", "plots", "plot()", "read curtain.vtu in another program")
         return plot_line_loads(self.loaded, ax)
 
     def plot_utilisation(self, ax: Axes | None = None) -> Axes:
@@ -111,7 +110,6 @@ class MembraneSolution(Solution):
 
         Beside held and loaded points that of a cell grows with every refinement: judge by `utilisation_max`.
         """
-        require("matplotlib", "plots", "plot_utilisation()", "read curtain.vtu in another program")
         return plot_utilisation(self.loaded, ax)
 
     def rings(self, options: LocalizeOptions | None = None) -> RingField:

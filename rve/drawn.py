@@ -114,10 +114,10 @@ class DrawnRings:
 
     def plot(self, ax: Axes | None = None, *, width: float = 0.7, series: Sequence[DrawnRings] = ()) -> Axes:
         """Centre lines of the rings seen along z, on `ax` or axes of their own; series: as of `draw`."""
+        ax = new_axes(7.0, 6.0) if ax is None else ax
         from matplotlib.collections import LineCollection
         from matplotlib.patches import Circle
 
-        ax = new_axes(7.0, 6.0) if ax is None else ax
         grey = "0.5" if self.force is None else None  # any colour that is given would hide those of the forces
         drawn = LineCollection(list(self.closed_circles(ALONG)[:, :, :2]), linewidths=width, colors=grey)
         if self.force is not None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.report import ErrorReport
 from homogenize.strength import Strength
-from rve.common import as_html, json_text, read_typed, require, write_text
+from rve.common import as_html, json_text, read_typed, write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,14 +71,12 @@ class StoredLaw(MembraneLaw):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """The admissible strains at constant shear, E22 over E11, on `ax` or on axes of their own (matplotlib)."""
-        require("matplotlib", "plots", "plot()", "evaluate law.support")
         from homogenize.laws.pictures import plot_sections
 
         return plot_sections(self, ax=ax)
 
     def plot_strength(self, yield_N_per_mm2: float | None = None, axes: Any = None) -> Any:
         """Locking surface, first yield and collapse on three axes; see `homogenize.laws.pictures`."""
-        require("matplotlib", "plots", "plot_strength()", "evaluate law.strength.utilisation")
         from homogenize.laws.pictures import plot_strength
 
         return plot_strength(self, self.strength, yield_N_per_mm2, axes)

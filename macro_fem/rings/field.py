@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from macro_fem.fem.cells import padded
 from macro_fem.rings.curtain import Curtain, Sites
 from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestPoses
-from rve.common import Array, Index, as_html, check_out_job, csv_text, job, json_text, require, versions, write_text
+from rve.common import Array, Index, as_html, check_out_job, csv_text, job, json_text, versions, write_text
 from rve.common.drawing.page import check_page, write_page
 from rve.common.drawing.space import check_render, save_picture
 
@@ -200,12 +200,10 @@ class RingField:
     def write_html(self, path: str | Path) -> None:
         """Write the rings as one HTML file that turns in a browser without a network, coloured by contact force, tori
         where there are few of them, else their centre lines; InputError without plotly."""
-        check_page(str(path))
         write_page(path, self.drawn.draw(), self._title)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Centre lines of all rings seen from the front, coloured by contact force, on `ax` or axes of their own."""
-        require("matplotlib", "plots", "plot()", "read rings.vtu in another program")
         return self.drawn.plot(ax)
 
     def __str__(self) -> str:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common import Array, as_html, require
-from rve.common.drawing.page import check_page, write_page
+from rve.common import Array, as_html
+from rve.common.drawing.page import write_page
 from rve.drawn import DrawnRings
 from rve.finite.equations import gradients, spread
 from rve.finite.layout import FiniteMesh
@@ -181,13 +181,11 @@ class FiniteSolution:
 
     def write_html(self, path: str | Path) -> None:
         """Write the rings as one HTML file that turns in a browser without a network; InputError without plotly."""
-        check_page(str(path))
         height = f"mean height {self.mean_height:.1f} mm, lowest point {self.centre[:, 1].min():.1f} mm"
         write_page(path, self.view(), f"{len(self.centre)} rings: {self.status}\n{height}")
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Every ring in the plane x, y, coloured by its largest contact force, on `ax` or axes of their own."""
-        require("matplotlib", "plots", "plot()", "write rings.vtu and read it in another program")
         ax = self.drawn.plot(ax, width=1.0)
         held = self._pulling
         if len(held):

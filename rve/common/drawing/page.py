@@ -35,7 +35,7 @@ LIT: dict[str, Any] = {
 }
 
 
-def check_page(purpose: str = "a page", instead: str = "ask for none") -> None:
+def check_page(purpose: str, instead: str = "ask for none") -> None:
     """InputError if plotly or pyvista is missing."""
     require("plotly", "pages", purpose, instead)
     require("pyvista", "pages", purpose, instead)

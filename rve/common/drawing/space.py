@@ -54,7 +54,8 @@ def check_render(purpose: str, instead: str = "ask for --no-picture") -> None:
 
 
 def new_plotter(panels: int = 1) -> Plotter:
-    """An empty plotter with panels side by side."""
+    """An empty plotter with panels side by side; InputError without pyvista."""
+    require("pyvista", "three-d", "a view in space")
     import pyvista
 
     pyvista.vtk_verbosity("off")  # else VTK says on standard error that there is no screen
