@@ -3,6 +3,9 @@
 Point inversion in the centre of a ring maps each class of rings on itself, the reflection z -> -z one class on the
 other. A cell with both has its second ring at c = (i a1 + j a2)/2 and mirrored normals: 5 of the 9 coordinates and half
 of the pairs are left. A state that is found so must satisfy all equations and be stable against asymmetric motions.
+
+Symmetric forces balance every ring across the plane as well, which no equation of a planar cell asks: with all
+coordinates, gaps rounded to 1e-16 leave the shares of two contacts of one pair open by up to 7e-4.
 """
 
 from __future__ import annotations
