@@ -35,7 +35,7 @@ MARKS = ".sweep"
 RETRIES = 3
 """How often an item is begun again whose worker was lost."""
 CONNECT_S = 10.0
-LOST = "its worker was lost, perhaps for lack of memory: the same sweep with fewer workers goes on from here"
+LOST = "its worker or the scheduler was lost, perhaps for lack of memory: the same sweep, with fewer workers, goes on"
 
 
 @dataclass(frozen=True)
