@@ -103,11 +103,14 @@ def solve_path(
     keeps the path inside and makes the primal value a bound.
     """
     loads, inertia = load_scale(load, fem.disc.weight), terms.inertia
+    own, cones = law.half_spaces(), options.cones
+    if cones is None or (cones.extra is None) != (own.extra is None):  # those of rigid rings do not widen
+        cones = first_cones(own, len(fem.disc.weight))
     program = Program(
         fem=fem,
         law=law,
         load=load if terms.guide is None else load + terms.guide,
-        cones=first_cones(law.half_spaces(), len(fem.disc.weight)) if options.cones is None else options.cones,
+        cones=cones,
         R=compliance_root(terms.compliance),
         scale=loads * size + (0.0 if inertia is None else inertia.energy_scale),
         total=loads + (0.0 if inertia is None else inertia.force_scale),

@@ -94,7 +94,7 @@ def with_cuts(cones: Cones, point: np.ndarray, cut: Cut) -> tuple[Cones, np.ndar
     """`cones` and a half-space of `cut` at each `point` (k,); the order (nc + k,) of old ones followed by new ones."""
     n = len(cones)
     order = np.insert(np.arange(n), np.searchsorted(cones.point, point, side="right"), n + np.arange(len(point)))
-    extra = None if cones.extra is None or cut.extra is None else np.concatenate([cones.extra, cut.extra])
+    extra = None if cut.extra is None else np.concatenate([cones.extra, cut.extra])
     S, h = np.concatenate([cones.S, cut.S]), np.concatenate([cones.h, cut.h])
     both = Cones(np.concatenate([cones.point, point]), S, h, cones.first, extra)
     return both.pick(order, both.point[order], len(cones.first)), order

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from homogenize import default_law, ring_net
-from macro_fem.curtain import solve_scene
+from macro_fem.curtain import solve_problem, solve_scene
 from macro_fem.elastic_forces import NOT_UNIQUE, forces_note, self_balanced
 from macro_fem.job import solve
 from macro_fem.scene.schema import read_scene
@@ -65,6 +65,15 @@ def test_hooks_bear_what_elastic_rings_say_and_the_shape_stays_rigid():
     assert rigid.summary["support_forces_note"] == NOT_UNIQUE
     assert elastic.summary["support_forces_note"] is None
     assert auto.summary["status"] == "converged"
+
+
+def test_elastic_rings_do_not_begin_with_half_spaces_that_do_not_widen():
+    # Of rings that give by direction each half-space widens by its own part; those of a rigid answer do not know it.
+    rigid, elastic = (solve_scene(scene(HOOKS, kind, load=BAR), default_law()) for kind in ("rigid", "elastic"))
+    warm = solve_problem(elastic.problem, rigid)
+    assert elastic.evidence.gap > -1e-10
+    assert warm.evidence.gap > -1e-10
+    assert warm.primal == pytest.approx(elastic.primal, rel=1e-9)
 
 
 @pytest.mark.parametrize("bar", [{}, {"load": BAR}])
