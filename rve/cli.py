@@ -44,7 +44,9 @@ def _choice(name: str, *words: str, text: str) -> Any:
 
 
 explain_option = click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
-grain_option = _choice("--grain", "y", "x", text="Axis along which rings interlace.")
+grain_option = _choice(
+    "--grain", "y", "x", text="Axis along which rings interlace; x exchanges the axes: 6-in-1 is then its mirror image."
+)
 cell_options = options(
     click.option("--r1", type=float, default=5.0, show_default=True, help="Radius of a ring's centre circle in mm."),
     click.option("--r2", type=float, default=0.5, show_default=True, help="Radius of the wire in mm."),
@@ -283,7 +285,7 @@ def table_columns(record: dict[str, Any]) -> dict[str, Any]:
 @main.command(epilog="Example: rve study --out study")
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder to write into.")
 def study(out: Path) -> None:
-    """Reproduce the paper's Figs. 9-17 for this implementation, and set its published figures beside ours."""
+    """Reproduce the paper's figures 9-17 for this implementation, and set its published figures beside ours."""
     from rve.paper.study import RECORD, comparison, markdown, run
 
     found = run(out)

@@ -143,8 +143,10 @@ def checked_loads(S: ArrayLike) -> Array:
         S = np.atleast_2d(np.asarray(S, dtype=float))
     except (TypeError, ValueError) as error:
         raise InputError("S must be numbers S11, S12, S22, or rows of them") from error
-    if S.ndim != 2 or S.shape[1] != 3 or not len(S) or not np.isfinite(S).all():
-        raise InputError(f"S has the shape {S.shape}; give finite numbers S11, S12, S22, or rows of them")
+    if S.ndim != 2 or S.shape[1] != 3 or not len(S):
+        raise InputError(f"S has the shape {S.shape}; give numbers S11, S12, S22, or rows of them")
+    if not np.isfinite(S).all():
+        raise InputError("S holds a number that is not finite; give S11, S12, S22, or rows of them")
     low, high = eigenvalues(S)
     for i in np.flatnonzero(~((high > 0.0) & (low >= -ROUND_OFF * np.maximum(high, 0.0))))[:1]:
         raise InputError(

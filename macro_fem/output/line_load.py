@@ -34,6 +34,8 @@ LOCAL = 1.25
 FINE = 0.25
 """Sides of mesh cells over that of the averaging area up to which an average at a held point counts as known: 5 to
 15 % below that of finer meshes (docs/measured/steel.md, cells of 3 mm). Smaller: flags more meshes as too coarse."""
+SAME = 1e-9
+"""Distances that differ by less than this part of the radius of an average are equal."""
 NEAR = 2.0
 """The largest line load belongs to a held or loaded point that is within this many sides of a cell."""
 
@@ -155,8 +157,11 @@ class Nearby:
             points, weight, cell = _pieces(self.corners[cells], 2.0 * self.radius / PIECES)
             distance = np.linalg.norm(points - x, axis=1)
             order = np.argsort(distance, kind="stable")
-            before = np.cumsum(weight[order]) - weight[order]
-            part = np.clip(self.area - before, 0.0, weight[order])
+            # Pieces equally far away count alike, so that mirror images have one average.
+            level = np.cumsum(np.diff(distance[order], prepend=0.0) > SAME * self.radius)
+            ring = np.bincount(level, weight[order])
+            share = np.clip((self.area - np.cumsum(ring)) / np.maximum(ring, 1e-300) + 1.0, 0.0, 1.0)
+            part = share[level] * weight[order]
             reach = float(distance[order][part > 0.0].max(initial=0.0))
             if len(cells) == len(self.P) or (len(part) and part[-1] == 0.0 and reach <= radius):
                 return cells[cell[order]], part, reach

@@ -39,6 +39,8 @@ RESOLVED = 0.125
 SHARPEST = np.pi / 6.0
 """Angle of a corner in which averages reach farthest; bounds their chord, so that few points are looked at."""
 NONE = Extreme(0.0, np.full(2, np.nan))
+UNLOADED = 1e-9
+"""Utilisations up to which nothing is loaded: rounding leaves 1e-12 of a curtain without load."""
 KEYS = (
     *("utilisation_max", "utilisation_max_at_mm", "utilisation_pointwise_max", "utilisation_of_averages_max"),
     *("utilisation_of_point_forces_max", "utilisation_of_hook_rings_max", "ring_at_hook"),
@@ -82,6 +84,7 @@ def _numbers(solution: CurtainSolution, known: Strength, cell: CellInfo) -> dict
     side = np.sqrt(area[touching.any(axis=0)].max() / (cell.b_x_mm * cell.b_y_mm))
     is_coarse = side > FINE and pointwise > EVEN * mean.value and points.value <= mean.value
     near = nearest(solution, most.at) if most.force is None else most.force.name
+    is_loaded = most.value > UNLOADED
     return {
         "utilisation_max": most.value,
         "utilisation_max_at_mm": most.at.tolist(),
@@ -91,9 +94,9 @@ def _numbers(solution: CurtainSolution, known: Strength, cell: CellInfo) -> dict
         "utilisation_of_hook_rings_max": hook.value,
         "ring_at_hook": f"ring at {hook.force.place}" if hook.force else None,
         "utilisation_mesh_too_coarse": bool(is_coarse),
-        "safety_factor": 1.0 / most.value if most.value > 0.0 else None,
-        "collapse_factor": 1.0 / collapse.value if collapse.value > 0.0 else None,
-        "first_yield_near": near if most.value > 0.0 else None,
+        "safety_factor": 1.0 / most.value if is_loaded else None,
+        "collapse_factor": 1.0 / collapse.value if is_loaded else None,
+        "first_yield_near": near if is_loaded else None,
     }
 
 

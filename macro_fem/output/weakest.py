@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from macro_fem.output.forces import support_rows
+from macro_fem.output.strength import UNLOADED
 from macro_fem.scene.tables import Combination
 
 OF_FORCE = (
@@ -39,18 +40,18 @@ def links(summary: dict[str, Any]) -> list[Link]:
     """The links of a curtain that are loaded and whose strength is known, the weakest first."""
     averages, points, ring = (summary[key] or 0.0 for key in UTILISATIONS)
     mesh, found = max(averages, points), []
-    if mesh > 0.0:
+    if mesh > UNLOADED:
         text = "the mesh"
         if mesh >= ring:
             x, y = summary["utilisation_max_at_mm"]
             text = f"rings near {summary['first_yield_near']}, at ({x:g}, {y:g}) mm"
         found.append(Link(1.0 / mesh, "mesh", text))
-    if ring > 0.0:
+    if ring > UNLOADED:
         found.append(Link(1.0 / ring, summary["ring_at_hook"], f"the {summary['ring_at_hook']}"))
     supports = summary["support_forces"]
     for number, support in enumerate(supports, 1):
         capacity, force = support.get("capacity_N"), support["largest_nodal_force_N"]
-        if capacity is not None and force > 0.0:
+        if capacity is not None and force > UNLOADED * capacity:
             kind = "runner" if support["support"] == "track" else support["support"].removesuffix("s")
             of = f" of support {number}" if len(supports) > 1 else ""
             text = f"{kind}s of support {number} bear up to {force:.4g} N of {capacity:g} N"
@@ -87,7 +88,7 @@ def holds_line(summary: dict[str, Any]) -> str:
     averages, points, _ = (summary[key] or 0.0 for key in UTILISATIONS)
     if is_coarse:
         parts.append("the mesh is too coarse there: the factor of the rings falls with refinement")
-    elif points > averages:
+    elif found and points > averages:
         parts.append(OF_FORCE)
     return "; ".join(parts)
 

@@ -115,7 +115,8 @@ def check_sizes(scene: Scene, r1: float | None) -> None:
     limits += [(f"{one.where} width", 2.0 * one.breadth, r1, "radius") for one in scene.of(Body)]
     for where, value, least, what in limits:
         if value < least:
+            hint = f", did you mean {1e3 * value:g}?" if 1e3 * value >= least else ""
             raise InputError(
                 f"{scene.source}: {where} = {value:g}: is less than the {what} of a ring, {least:g} mm; lengths are in "
-                f"mm, did you mean {1e3 * value:g}?"
+                f"mm{hint}"
             )

@@ -55,7 +55,10 @@ class Scene:
         object.__setattr__(self, "items", tuple(self.items))
         for item in self.items:
             if not isinstance(item, Item):
-                raise InputError(f"{self.source}: {shown(item)}: is no support, load or obstacle")
+                raise InputError(
+                    f"{self.source}: {shown(item)}: is no support, load or obstacle; "
+                    "mesh, load, solver, start, motion and combination are given by name"
+                )
         object.__setattr__(self, "material", described(dict(self.material), f"{self.source}: [material]"))
 
     def of(self, kind: type[Kind]) -> tuple[Kind, ...]:

@@ -18,7 +18,8 @@ CellCount = Annotated[int, Meta(ge=1, le=4)]
 
 @dataclass(frozen=True)
 class Cell(Typed):
-    """The mesh: radii in mm, weave, grain ("y" or "x": the interlacing direction), density in kg/mm3, material.
+    """The mesh: radii in mm, weave, grain ("y" or "x": the interlacing direction; x exchanges the axes, which makes a
+    chiral weave its mirror image), density in kg/mm3, material.
 
     `material` and `weave` may be names. cells: primitive cells along the weave's a1 and a2 whose rings move
     independently, and centres: "plane" or "space", where the centres of rings may be; `rve.solve_table` and

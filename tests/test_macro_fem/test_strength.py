@@ -40,6 +40,24 @@ def with_yield(stress):
     return replace(law, strength=replace(law.strength, material=material))
 
 
+def test_a_curtain_without_load_has_no_factor():
+    hooks = {"kind": "hooks", "pitch": 30.0, "capacity": 9.0, "gather": 0.9}
+    solution = solve_scene(read_scene(sheet(60.0, 60.0, 4, hooks, load={"gravity": 0.0})), default_law())
+    told = summarize(solution)
+    assert told["utilisation_max"] < 1e-9
+    assert {told[key] for key in ("safety_factor", "collapse_factor", "weakest_factor", "first_yield_near")} == {None}
+    assert holds_line(told) == "no load"
+
+
+def test_mirror_images_hold_as_much():
+    left, right = (
+        summary(solve_scene(read_scene(sheet(120.0, 300.0, 8, {"kind": "rail"}, weave_angle=turn)), default_law()))
+        for turn in (30.0, -30.0)
+    )
+    for key in ("utilisation_max", "utilisation_of_averages_max"):
+        assert left[key] == pytest.approx(right[key], rel=1e-5)
+
+
 @pytest.fixture(scope="module")
 def strip():
     return hung()
