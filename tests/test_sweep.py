@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import active_children, get_context
 from pathlib import Path
 
@@ -187,3 +187,25 @@ def test_a_cluster_that_loses_a_worker_half_way_gives_the_same_tables(tmp_path, 
     assert [how.code for how in ended] == [0] * len(items)
     for name, content in single.items():
         assert (tmp_path / name).read_bytes() == content
+
+
+def test_a_sweep_that_loses_its_processes_keeps_what_is_finished_and_says_what_is_not(tmp_path):
+    items = table_items(tmp_path, [5.0], [0.5, 1.0, 0.6, 0.7], ["4-in-1"], "y", GRID)
+
+    def listen(work, share):
+        for child in active_children():
+            child.kill()
+
+    with heard_by(listen):
+        ended = sweep(items, tmp_path, jobs=2)
+    lost = [how for how in ended if how.code]
+    assert 0 < len(lost) < 4
+    assert all("worker" in how.message and "goes on" in how.message for how in lost)
+    assert [how.code for how in sweep(items, tmp_path)] == [0] * 4
+
+
+def test_a_fault_of_a_command_is_no_lost_worker(tmp_path, monkeypatch):
+    monkeypatch.setattr("rve.common.commands.sweeps.ProcessPoolExecutor", lambda *_, **how: ThreadPoolExecutor(1))
+    monkeypatch.setattr("rve.common.commands.sweeps.run_item", lambda item: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        sweep(table_items(tmp_path, [5.0], [0.5], ["4-in-1"], "y", GRID), tmp_path, jobs=2)

@@ -14,7 +14,7 @@ import sys
 import threading
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor, as_completed
 from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -36,6 +36,8 @@ RETRIES = 3
 """How often an item is begun again whose worker was lost."""
 CONNECT_S = 10.0
 LOST = "its worker or the scheduler was lost, perhaps for lack of memory: the same sweep, with fewer workers, goes on"
+Workers = tuple[Executor, tuple[type[Exception], ...]]
+"""What runs items, and what it raises for an item when workers are lost."""
 
 
 @dataclass(frozen=True)
@@ -114,43 +116,42 @@ def _run(items: Sequence[SweepItem], jobs: int, cluster: str | None) -> Generato
         for item in items:
             yield item, run_item(item)
         return
-    with _processes(jobs) if cluster is None else _cluster(cluster) as workers:
+    with _processes(jobs) if cluster is None else _cluster(cluster) as (workers, losses):
         futures = {workers.submit(run_item, item): item for item in items}
         for future in as_completed(futures):
             try:
                 how = future.result()
-            except Exception as error:
+            except losses as error:
                 how = Ended(1, f"{LOST} ({' '.join(str(error).split()) or type(error).__name__})")
             yield futures[future], how
 
 
 @contextmanager
-def _cluster(address: str) -> Iterator[Executor]:
+def _cluster(address: str) -> Iterator[Workers]:
     """Workers of a Dask scheduler; InputError if none answers."""
-    from distributed import Client
+    from distributed import Client, KilledWorker
+    from distributed.comm import CommClosedError
 
     try:
         client = Client(address, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
         raise InputError(f"--cluster = {address}: no Dask scheduler answers there: {error}") from error
     with client:
-        yield client.get_executor(pure=False, retries=RETRIES)
+        yield client.get_executor(pure=False, retries=RETRIES), (KilledWorker, CancelledError, CommClosedError)
 
 
 @contextmanager
-def _processes(jobs: int) -> Iterator[Executor]:
+def _processes(jobs: int) -> Iterator[Workers]:
     """Worker processes that end with the block, at once where it is left early, and when this process ends."""
-    before = active_children()
+    before, is_left_early = active_children(), True
     pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_end_with_parent)
     try:
-        yield pool
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for child in set(active_children()) - set(before):
-            child.terminate()
-        raise
+        yield pool, (BrokenExecutor,)
+        is_left_early = False
     finally:
-        pool.shutdown(cancel_futures=True)
+        pool.shutdown(wait=not is_left_early, cancel_futures=True)
+        for child in set(active_children()) - set(before) if is_left_early else ():
+            child.terminate()
 
 
 def _end_with_parent() -> None:
@@ -170,26 +171,6 @@ def _end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=wait, daemon=True).start()
-
-
-def _on_cluster(items: Sequence[SweepItem], address: str) -> Generator[tuple[SweepItem, Ended]]:
-    """ConnectionError with a sentence if the scheduler is lost."""
-    from distributed import Client
-    from distributed import as_completed as as_finished
-
-    try:
-        client = Client(address, timeout=CONNECT_S)
-    except (OSError, ValueError) as error:
-        raise InputError(f"--cluster = {address}: no Dask scheduler answers there: {error}") from error
-    with client:
-        futures = client.map(run_item, items, pure=False, retries=RETRIES)
-        asked = dict(zip((future.key for future in futures), items, strict=True))
-        for future in as_finished(futures):
-            if future.status in ("cancelled", "lost"):
-                raise ConnectionError(f"--cluster = {address}: the Dask scheduler was lost")
-            raised = future.exception()
-            lost = f"its workers were lost: {' '.join(str(raised).split())}"
-            yield asked[future.key], future.result() if raised is None else Ended(1, lost)
 
 
 def further_options(words: Sequence[str], given: Sequence[str] = ("--out",)) -> list[str]:
