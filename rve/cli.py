@@ -27,6 +27,7 @@ from rve.common.commands.command_line import (
 from rve.common.commands.sweeps import SweepItem, further_options, run_sweep, sweep_options
 from rve.common.materials import MATERIALS, material_of
 from rve.common.rings import Joint, check_ring_size
+from rve.common.typed import BadField
 
 MOST_TABLES = 10_000
 FIT_FROM = 10
@@ -84,7 +85,10 @@ def asked_cell(
         nx, ny = (int(part) for part in cells.split("x"))
     except ValueError:
         raise InputError(f"--cells = {cells}: write two numbers, such as 2x2") from None
-    return Cell(r1, r2, WEAVES[weave], grain, metal.density_kg_per_mm3, metal, (nx, ny), centres)
+    try:
+        return Cell(r1, r2, WEAVES[weave], grain, metal.density_kg_per_mm3, metal, (nx, ny), centres)
+    except BadField as error:
+        raise InputError(f"--{error.what}") from None
 
 
 def asked_directions(

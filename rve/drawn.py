@@ -104,11 +104,11 @@ class DrawnRings:
         blocks = [("quad" if tubes else "line", cells.reshape(-1, cells.shape[2]).astype(np.int32))]
         write_mesh_file(path, meshio.Mesh(points.astype(real), blocks, cell_data=each))
 
-    def write_stl(self, path: Path) -> None:
+    def write_stl(self, path: Path, along: int = 48, around: int = 16) -> None:
         """A binary STL of the tori, closed surfaces of triangles whose normals point outwards, by meshio."""
         import meshio
 
-        points, quads = self.tubes(48, 16)
+        points, quads = self.tubes(along, around)
         triangles = quads[..., [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
         meshio.write(path, meshio.Mesh(points, [("triangle", triangles)]), file_format="stl", binary=True)
 

@@ -64,6 +64,16 @@ class SupportValue:
         """Side of the reference cell."""
         return self.sides_mm[1]
 
+    @property
+    def cells(self) -> tuple[int, int]:
+        """Primitive cells of the poses, see `Cell`."""
+        return self.weave.repeat
+
+    @property
+    def centres(self) -> str:
+        """Where the centres of rings may be, see `Cell`."""
+        return self.weave.centres
+
     def __len__(self) -> int:
         return len(self.h)
 
@@ -83,8 +93,8 @@ class SupportValue:
             "min_gap_mm": float(self.min_gap_mm[i]),
             "b_x_mm": self.b_x_mm,
             "b_y_mm": self.b_y_mm,
-            "cells": list(self.weave.repeat),
-            "centres": self.weave.centres,
+            "cells": list(self.cells),
+            "centres": self.centres,
         }
 
     def __str__(self) -> str:
