@@ -255,9 +255,10 @@ class Cache:
         try:
             with Path(self.folder, _file_name(question)).open("rb") as file:
                 found = json.loads(file.read(MOST_JSON_BYTES))
-            answer, files = found["answer"], found["files"]
-            is_whole = found["sha256"] == _digest({"question": question, "answer": answer, "files": files})
-            return answer if is_whole and all(checksum(name) == one for name, one in files.items()) else None
+            asked, answer, files = found["question"], found["answer"], found["files"]
+            is_whole = found["sha256"] == _digest({"question": asked, "answer": answer, "files": files})
+            is_own = is_whole and _digest(asked) == _digest(question)
+            return answer if is_own and all(checksum(name) == one for name, one in files.items()) else None
         except UNREADABLE:
             return None
 
