@@ -18,7 +18,6 @@ SCENE = """
 [curtain]
 width = 300.0
 height = 200.0
-{mass}
 [mesh]
 cells = 4
 [support]
@@ -32,30 +31,17 @@ def run(command, *arguments):
     return result.output
 
 
-@pytest.fixture(scope="module")
-def titanium(tmp_path_factory):
-    """Folder with table and law of titanium rings, made by the commands."""
-    folder = tmp_path_factory.mktemp("titanium")
-    table = folder / "table.csv"
+def test_one_density_from_the_command_line_to_the_weight_of_the_curtain(tmp_path):
+    table, law, scene, out = (tmp_path / name for name in ("table.csv", "law.json", "scene.toml", "out"))
     run(rve, "table", "--out", table, "--density", TITANIUM, "--alpha", "0:45:15", "--beta", "0:90:15")
-    run(homogenize, "fit", table, "--out", folder / "law.json")
-    return folder
-
-
-def summary_of(folder, law, mass=""):
-    scene = folder / "scene.toml"
-    scene.write_text(SCENE.format(mass=mass))
-    run(macro_fem, "run", scene, "--law", law, "--out", folder / "out", "--no-picture")
-    return json.loads((folder / "out" / "summary.json").read_text())
-
-
-def test_one_density_from_the_command_line_to_the_weight_of_the_curtain(titanium):
-    sidecar = json.loads((titanium / "table.json").read_text())
+    sidecar = json.loads(table.with_suffix(".json").read_text())
     assert sidecar["density_kg_per_mm3"] == pytest.approx(4.506e-6, rel=1e-12)
     assert sidecar["areal_mass_kg_per_m2"] == pytest.approx(AREAL_MASS, rel=1e-6)
-    law = titanium / "law.json"
+    run(homogenize, "fit", table, "--out", law)
     assert load_law(law).cell.areal_mass_kg_per_m2 == pytest.approx(AREAL_MASS, rel=1e-6)
-    summary = summary_of(titanium, law)
+    scene.write_text(SCENE)
+    run(macro_fem, "run", scene, "--law", law, "--out", out, "--no-picture")
+    summary = json.loads((out / "summary.json").read_text())
     assert summary["areal_mass_kg_per_m2"] == pytest.approx(AREAL_MASS, rel=1e-6)
     assert summary["areal_mass_from"] == "law"
     assert summary["mass_kg"] == pytest.approx(AREAL_MASS * 0.3 * 0.2, rel=1e-6)

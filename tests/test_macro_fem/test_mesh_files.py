@@ -18,20 +18,14 @@ def test_every_offered_format_gives_the_same_square(name, kind, how, tmp_path):
     assert mesh.t.shape[1] == (18 if kind == "triangle" else 36)  # quadrilaterals are cut in four
 
 
-def test_lines_keep_their_physical_group(tmp_path):
-    (tmp_path / "mesh.msh").write_text(MSH)
+def test_lines_keep_their_physical_group_or_both_of_them(tmp_path):
+    text = MSH.replace("0 1 7 0\n", "0 2 7 9 0\n").replace("2\n1 7", '3\n1 9 "rail"\n1 7')
+    (tmp_path / "mesh.msh").write_text(text)
     found = mesh_of(tmp_path)
+    assert found.edges["rail"].tolist() == found.edges["upper"].tolist()
     upper = found.mesh.p[:, found.mesh.facets[:, found.edges["upper"]]]
     assert upper.shape == (2, 2, 3)
     assert (upper[1] == 3.0).all()
-
-
-def test_a_line_in_two_groups_belongs_to_both(tmp_path):
-    text = MSH.replace("0 1 7 0\n", "0 2 7 9 0\n").replace("2\n1 7", '3\n1 9 "rail"\n1 7')
-    (tmp_path / "mesh.msh").write_text(text)
-    edges = mesh_of(tmp_path).edges
-    assert len(edges["rail"]) == 3
-    assert edges["rail"].tolist() == edges["upper"].tolist()
 
 
 @pytest.mark.parametrize(

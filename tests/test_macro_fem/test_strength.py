@@ -49,15 +49,6 @@ def test_a_curtain_without_load_has_no_factor():
     assert holds_line(told) == "no load"
 
 
-def test_mirror_images_hold_as_much():
-    left, right = (
-        summary(solve_scene(read_scene(sheet(120.0, 300.0, 8, {"kind": "rail"}, weave_angle=turn)), default_law()))
-        for turn in (30.0, -30.0)
-    )
-    for key in ("utilisation_max", "utilisation_of_averages_max"):
-        assert left[key] == pytest.approx(right[key], rel=1e-5)
-
-
 @pytest.fixture(scope="module")
 def strip():
     return hung()
@@ -151,9 +142,8 @@ def square(scale=1.0, law=None, **curtain):
 
 def test_mirror_images_and_quarter_turns_bear_the_same():
     left, right = square(weave_angle=25.0), square(weave_angle=-25.0)
-    assert left["utilisation_pointwise_max"] == pytest.approx(right["utilisation_pointwise_max"], rel=1e-3)
-    for key in ("utilisation_max", "collapse_factor"):
-        assert left[key] == pytest.approx(right[key], rel=0.02)  # averages are known to a part in 100 (`PIECES`)
+    for key in ("utilisation_max", "utilisation_pointwise_max", "utilisation_of_averages_max", "collapse_factor"):
+        assert left[key] == pytest.approx(right[key], rel=1e-3)
     once, twice = square(weave_angle=90.0), square(weave_angle=270.0)
     assert once["utilisation_max"] == pytest.approx(twice["utilisation_max"], rel=1e-6)
     assert once["utilisation_max"] != pytest.approx(square()["utilisation_max"], rel=1e-2)

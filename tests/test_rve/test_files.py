@@ -152,12 +152,6 @@ def test_a_table_and_its_sidecar_belong_together(tmp_path, table):
     assert read_table(other).beta_deg[0] == 46.0
 
 
-def test_a_law_does_not_overwrite_the_sidecar_of_any_table(tmp_path, table):
-    write_table(table, tmp_path / "other.csv")
-    with pytest.raises(InputError, match=r"other.json: is the sidecar file of a table"):
-        check_out_file(tmp_path / "other.json", inputs=[tmp_path / "table.csv"])
-
-
 def test_a_table_does_not_overwrite_a_law(tmp_path, table):
     (tmp_path / "law.json").write_text('{"schema": 1}')
     with pytest.raises(InputError, match="is not that of a table"):

@@ -8,7 +8,6 @@ import pytest
 from click.testing import CliRunner
 
 from rve.cli import main
-from rve.common.errors import InputError
 from rve.common.tensor import WEIGHT, double_dot
 from rve.directions import product
 from rve.equilibrium.dead_load import DeadLoad
@@ -134,5 +133,3 @@ def test_options_of_larger_cells(tmp_path):
     assert "--cells 2x2 --centres space" not in done.output
     record = json.loads(out.with_suffix(".json").read_text())
     assert (record["weave"], record["cells"], record["centres"]) == ("6-in-1", [2, 1], "space")
-    with pytest.raises(InputError, match="centres"):
-        Cell(centres="sky")

@@ -32,13 +32,6 @@ def test_balance_and_complementarity_hold_in_every_step(seed, contacts, power):
     assert np.abs(lam * left)[real].max(initial=0.0) < 1e-8 * size.max() * max(1.0, lam.max())
 
 
-def test_no_case_depends_on_the_others():
-    problem = programme(np.random.default_rng(4), 20, 15, 1e4)
-    together, alone = solve_contact_step(*problem), solve_contact_step(*(part[7:8] for part in problem))
-    assert np.array_equal(together[0][7], alone[0][0])
-    assert np.array_equal(together[1][7], alone[1][0])
-
-
 def test_a_step_whose_forces_are_not_found_says_so(monkeypatch):
     def fails(*_):
         raise RuntimeError

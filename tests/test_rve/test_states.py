@@ -75,17 +75,6 @@ def test_blocks_with_more_pairs_join_those_with_fewer(monkeypatch):
 ANGLES = np.array([0.0, 0.0, 20.0, 45.0, 70.0]), np.array([45.0, 20.0, 30.0, 10.0, 35.0])
 
 
-@pytest.mark.slow
-def test_a_table_in_blocks_is_that_of_its_rows(monkeypatch):
-    alone = [solve_table(Cell(), ([a], [b])) for a, b in zip(ANGLES[0], ANGLES[1], strict=True)]
-    monkeypatch.setattr("rve.solve.BLOCK", 2)
-    table = solve_table(Cell(), ANGLES)
-    assert len(table.E) == 5
-    np.testing.assert_allclose(table.E, np.vstack([one.E for one in alone]), atol=1e-9)
-    np.testing.assert_allclose(table.alpha_deg, ANGLES[0])
-    assert (table.status == "converged").all()
-
-
 def test_forces_in_blocks_are_those_of_each_load(monkeypatch):
     """Loads twice as large give twice the force; what hangs slack carries none."""
     cell = Cell()
