@@ -11,6 +11,7 @@ from macro_fem import read_scene
 from rve import Material, with_rings
 from rve.geometry.cell import Cell
 from rve.solve import solve_table
+from tests.test_macro_fem.sheets import sheet
 
 pytestmark = pytest.mark.slow
 
@@ -45,23 +46,13 @@ def test_the_curtain_is_what_its_summary_says(chain):
     assert summary["total_load_N"][1] == pytest.approx(-27.32, abs=0.01)
 
 
-def strip(mass):
-    """A weightless strip that bears a bar, free to narrow: S22 alone, known in closed form."""
-    return read_scene(
-        {
-            "curtain": {"width": 100.0, "height": 150.0, "areal_mass": 0.0},
-            "mesh": {"cells": 4},
-            "support": {"kind": "rail"},
-            "load": {"bar": {"mass": mass}},
-            "solver": {"kind": "rigid", "stabilising_tension": 0.0},
-        }
-    )
-
-
 def test_the_factor_of_a_wire_is_that_of_its_table_row(tmp_path):
-    """The pull along the grain, at which the reference cell locks: 600 over the strength of the row times the load."""
+    """A weightless strip bears a bar and is free to narrow, so that it is pulled along the grain alone, where the
+    reference cell locks: 600 over the strength of the row times the load."""
+    load, solver = {"bar": {"mass": 2.0}}, {"kind": "rigid", "stabilising_tension": 0.0}
+    strip = read_scene(sheet(100.0, 150.0, 4, {"kind": "rail"}, (), load, solver, areal_mass=0.0))
     metal = Material(yield_N_per_mm2=600.0, ultimate_N_per_mm2=None)
-    answer = run_wires(strip(2.0), 5.0, [1.0, 1.2], metal, 30.0, tmp_path / "wires")
+    answer = run_wires(strip, 5.0, [1.0, 1.2], metal, 30.0, tmp_path / "wires")
     for one in answer["wires"]:
         assert one["mesh_too_coarse"] is False  # an even load is its own average on any mesh
         cell = Cell(5.0, 0.5 * one["diameter_mm"])

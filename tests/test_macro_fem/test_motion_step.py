@@ -27,6 +27,7 @@ from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.cones import green_strain
 from macro_fem.solvers.path import Inertia
 from macro_fem.solvers.walls import WallRows, Walls
+from tests.test_macro_fem.sheets import sheet
 
 BALL = 0.5e-3
 """Mass in N s2/mm of the ball: 0.5 kg."""
@@ -37,9 +38,7 @@ def free_sheet(
 ) -> tuple[Moving, np.ndarray]:
     """A square sheet that nothing holds, with balls of 0.5 kg, and its nodes in the reference state (n, 3)."""
     law = elastic_law(default_law()) if elastic else default_law()
-    scene = read_scene(
-        {"curtain": {"width": side, "height": side}, "mesh": {"cells": cells}, "support": {"kind": "top"}}
-    )
+    scene = read_scene(sheet(side, side, cells, {"kind": "top"}))
     mesh = build_mesh(scene, law.cell)
     disc = discretize(mesh.mesh, "P1")
     n = disc.n_nodes

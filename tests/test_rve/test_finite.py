@@ -611,15 +611,10 @@ def test_a_guide_has_no_part_in_the_answer_but_where_it_is_found():
     assert guided.reaction.sum(axis=0) == pytest.approx(-force.sum(axis=0), abs=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("weave", "ratio"),
-    [
-        ("4-in-1", 3.985),
-        pytest.param("4-in-1", 4.03, marks=pytest.mark.slow),
-        pytest.param("6-in-1", 6.0, marks=pytest.mark.slow),
-        pytest.param("6-in-1", 6.1, marks=pytest.mark.slow),
-    ],
-)
+JAMMING = [pytest.param(*case, marks=pytest.mark.slow) for case in (("4-in-1", 4.03), ("6-in-1", 6.0), ("6-in-1", 6.1))]
+
+
+@pytest.mark.parametrize(("weave", "ratio"), [("4-in-1", 3.985), *JAMMING])
 def test_near_jamming_the_disturbance_leaves_the_start_open(weave, ratio):
     """A disturbance of 0.01 r1 is more than the clearance there: wires overlapped, and held rings did not arrive."""
     mesh = FiniteMesh.rectangle(Cell(ratio, 1.0, WEAVES[weave]), 2, 2)

@@ -260,7 +260,6 @@ def test_states_known_before_are_starts():
 @pytest.mark.parametrize(
     ("S", "words"),
     [
-        ([1.0, 0.0, -0.5], "has the eigenvalue -0.5"),
         ([0.3, 0.4, 0.3], "has the eigenvalue -0.1"),
         ([0.0, 0.0, 0.0], "give a load"),
         ([1.0, 2.0], "shape"),
