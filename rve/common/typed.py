@@ -8,7 +8,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, fields
 from functools import cache
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -74,8 +74,6 @@ def typed(value: Any, kind: Any, key: str) -> Any:
     >>> typed([1, 2], tuple[float, float], "at")
     (1.0, 2.0)
     """
-    if is_dataclass(value):  # a record, which was checked when it was made
-        return value
     value = _plain(value)
     try:
         return msgspec.convert(value, kind)

@@ -54,6 +54,8 @@ def test_a_cell_takes_its_weave_by_name():
     assert Cell(r1=8.0, r2=1.0, weave="6-in-1") == Cell(r1=8.0, r2=1.0, weave=WEAVES["6-in-1"])
     with pytest.raises(InputError, match="is not one of 4-in-1, 6-in-1"):
         Cell(weave="5-in-1")
+    with pytest.raises(InputError, match="expected a number, got Material"):
+        Cell(r1=Material())
 
 
 def test_columns_and_material_from_the_command_line_to_the_file(tmp_path):
