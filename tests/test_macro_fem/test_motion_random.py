@@ -71,14 +71,16 @@ def check(found, tables):
     return rows
 
 
-@pytest.mark.release
-def test_smaller_steps_come_closer():
+@pytest.mark.parametrize(
+    ("count", "least"), [pytest.param(2, 1, marks=pytest.mark.slow), pytest.param(20, 15, marks=pytest.mark.release)]
+)
+def test_smaller_steps_come_closer(count, least):
     """Mean positions over time at steps of 10, 5 and 2.5 ms against those at 1.25 ms, at the moments that they share.
 
     A ball folds a slack sheet one way or another, so a few scenes come closer at last but not at each halving.
     """
     steadily = 0
-    for seed in range(20):
+    for seed in range(count):
         tables, places = draw(seed), []
         for k in (1, 2, 4, 8):
             found = run(tables, 0.01 / k)
@@ -87,7 +89,7 @@ def test_smaller_steps_come_closer():
         errors = [np.abs(one - places[-1]).max() for one in places[:-1]]
         assert errors[-1] < errors[0] or errors[0] < 1e-6, f"{seed}: {errors}"
         steadily += all(fine < coarse or coarse < 1e-6 for coarse, fine in pairwise(errors))
-    assert steadily >= 15
+    assert steadily >= least
 
 
 @pytest.mark.parametrize(

@@ -117,13 +117,22 @@ def _run(items: Sequence[SweepItem], jobs: int, cluster: str | None) -> Generato
             yield item, run_item(item)
         return
     with _processes(jobs) if cluster is None else _cluster(cluster) as (workers, losses):
-        futures = {workers.submit(run_item, item): item for item in items}
+        futures = {}
+        for item in items:
+            try:
+                futures[workers.submit(run_item, item)] = item
+            except losses as error:
+                yield item, _lost(error)
         for future in as_completed(futures):
             try:
                 how = future.result()
             except losses as error:
-                how = Ended(1, f"{LOST} ({' '.join(str(error).split()) or type(error).__name__})")
+                how = _lost(error)
             yield futures[future], how
+
+
+def _lost(error: BaseException) -> Ended:
+    return Ended(1, f"{LOST} ({' '.join(str(error).split()) or type(error).__name__})")
 
 
 @contextmanager
