@@ -38,6 +38,9 @@ _SLIDING, _DAMPED, _SLIDES = 1e-5, 0.1, 4
 the damping. So for that many lifts; without a floor damped pairs are folds, which the next mu passes in fewer steps."""
 _LIFT = 30.0
 """Factor on mu where the iterates do not settle at it."""
+_ENDS = 4
+"""At the last mu no ring tells that it is the one that does not settle: all are lifted, by this factor the first time
+and by its square, cube and fourth power the next times, to where all go together again."""
 _TOGETHER = 1e-4
 """mu from which on all rings have the same one; below, each ring has its own."""
 _LINKS, _PASSES = 6, 4
@@ -81,7 +84,7 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
     task = replace(task, at=start.x + (whole - start.x) / parts) if parts > 1 else task
     factorize = Factorizer()
     history: list[Record] = []
-    least, finest = np.inf, state
+    least, finest, ends = np.inf, state, 0
     pace, status, is_minimum = Patience.of(options, len(state.mu)), "iterations", False
     for _ in range(options.max_iterations):
         most = float(state.mu.max())
@@ -119,7 +122,9 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
             if is_stuck:
                 # Points beside a minimum move with it and may keep a last residual: the next end goes without them.
                 task = replace(task, beside=not task.beside)
-            mu, is_lifted = _next_mu(state, task, is_calm, is_over, options)
+                ends += 1
+            lift = _LIFT ** (1 + (ends - 1) % _ENDS) if is_stuck else _LIFT
+            mu, is_lifted = _next_mu(state, task, is_calm, np.where(is_over, lift, 0.0), options)
             pace.begin(mu != state.mu, is_lifted)
             state, reach = replace(state, mu=mu), _reach(options, float(mu.max()))
             if reach != state.touching.reach or is_stuck:
@@ -134,20 +139,21 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
     return Found(best.touching, best.force, status, max(kkt(best, gradients(best.touching), task)), tuple(history))
 
 
-def _next_mu(state: State, task: Task, is_calm: Flags, is_over: Flags, options: FiniteOptions) -> tuple[Array, Flags]:
-    """mu (n,) of the rings for the next iterate, and which of them were lifted."""
+def _next_mu(state: State, task: Task, is_calm: Flags, lift: Array, options: FiniteOptions) -> tuple[Array, Flags]:
+    """mu (n,) of the rings for the next iterate, and which of them were lifted; lift (n,): factors on it, or 0."""
     # Where a fold runs through the mesh at a small mu, every ring it meets shortens the steps; at a higher mu it
     # passes in a few.
-    con, level = state.touching, np.where(is_over, _LIFT * state.mu, 0.0)
+    con, level = state.touching, lift * state.mu
     felt = con.count > 0
     for _ in range(_LINKS):
         near = con.greater(level)[felt]
         for end in (con.a, con.b):
             np.maximum.at(level, end[felt], near)
-    level = np.minimum(level, _HIGHEST if _is_together(state, task) else 0.9 * _TOGETHER)
+    is_for_all = _is_together(state, task) or bool((lift > 0.0).all())
+    level = np.minimum(level, _HIGHEST if is_for_all else 0.9 * _TOGETHER)
     is_lifted = level > state.mu
     lower = np.maximum(options.last, np.minimum(_SHRINK * state.mu, state.mu**_POWER))
-    return np.where(is_lifted, level, np.where(is_calm, lower, state.mu)), is_lifted | is_over
+    return np.where(is_lifted, level, np.where(is_calm, lower, state.mu)), is_lifted | (lift > 0.0)
 
 
 @dataclass(eq=False)

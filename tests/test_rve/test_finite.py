@@ -368,7 +368,7 @@ def test_an_impossible_tolerance_stalls_in_bounded_work_at_an_answer_that_is_goo
     found = mesh.solve(*problem, space=False, options=FiniteOptions(tolerance=0.0, patience=6, retries=2))
     assert found.status == "stalled"
     assert found.kkt_residual < 1e-8
-    assert found.iterations < 200
+    assert found.iterations < 300  # two lifts, each higher than the one before
     assert found.potential == pytest.approx(mesh.solve(*problem, space=False).potential, rel=1e-6)
     early = mesh.solve(*problem, options=FiniteOptions(max_iterations=3))
     assert (early.status, early.iterations, "more iterations" in early.message) == ("iterations", 3, True)
