@@ -6,12 +6,10 @@ from __future__ import annotations
 import hashlib
 import shutil
 import subprocess
-import zlib
 from collections.abc import Sequence
 from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -25,7 +23,7 @@ from macro_fem.output.files import collection
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.scene.schema import Scene
-from rve.common import Array, InputError, csv_text, json_text, tell
+from rve.common import Array, InputError, check_belongs, csv_text, json_text, read_json_object, tell
 from rve.common.drawing.page import write_moments
 from rve.common.drawing.space import save_animation
 from rve.common.files import atomic_path, job, versions, write_text
@@ -187,17 +185,20 @@ def _write_kept(path: Path, mover: AnyMover, of: str, frames: Sequence[Frame], r
 
 
 def read_kept(path: Path, mover: AnyMover, of: str) -> tuple[list[Any], list[Any]]:
-    """Frames and rows of a run of the same scene but for its duration; InputError for any other file."""
+    """Frames and rows of a run of the same scene but for its duration; InputError for any other file, and for one that
+    the record beside it does not list by its checksum."""
+    if not path.exists():
+        raise InputError(f"--continue: {path} is missing: there is no run to go on with")
+    record = path.with_name(RECORD)
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            kept = dict(file)
-        is_same, rows, (h, most, is_euler) = str(kept["of"]) == of, list(kept["rows"]), kept["pace"].tolist()
-    except FileNotFoundError as error:
-        raise InputError(f"--continue: {path} is missing: there is no run to go on with") from error
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error) as error:
+        check_belongs(path, record, {"files": {}} | read_json_object(record), "run again without --continue")
+    except (OSError, InputError) as error:
         raise InputError(f"--continue: {path} is not what a run has kept: run again without it") from error
-    if not is_same:
+    with np.load(path, allow_pickle=False) as file:
+        kept = dict(file)
+    if str(kept["of"]) != of:
         raise InputError(f"--continue: {path} is of another scene or law: only [motion] duration may differ")
+    rows, (h, most, is_euler) = list(kept["rows"]), kept["pace"].tolist()
     parts: dict[str, dict[str, Any]] = {}
     for name in kept.keys() - {"of", "rows", "pace"}:
         own, _, number = name.rpartition("_")

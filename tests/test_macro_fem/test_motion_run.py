@@ -190,7 +190,7 @@ def test_a_run_writes_its_files_and_goes_on_as_if_it_had_not_ended(tmp_path):
     assert "longer duration" in again.output
     kept = tmp_path / "two" / "motion.npz"
     data = kept.read_bytes()
-    for broken in (b"", b"PK", data[:500], data[: len(data) // 2], data[:200] + bytes(400) + data[600:]):
+    for broken in (b"", b"PK", data[:500], data[: len(data) // 2], data[:200] + bytes(400) + data[600:], data + b"0"):
         kept.write_bytes(broken)
         again = CliRunner().invoke(main, ["run", str(whole), "--out", str(tmp_path / "two"), "--continue"])
         assert (again.exit_code, "is not what a run has kept" in again.output) == (2, True)
