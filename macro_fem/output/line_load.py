@@ -158,10 +158,11 @@ class Nearby:
             distance = np.linalg.norm(points - x, axis=1)
             order = np.argsort(distance, kind="stable")
             # Pieces equally far away count alike, so that mirror images have one average.
-            level = np.cumsum(np.diff(distance[order], prepend=0.0) > SAME * self.radius)
-            ring = np.bincount(level, weight[order])
-            share = np.clip((self.area - np.cumsum(ring)) / np.maximum(ring, 1e-300) + 1.0, 0.0, 1.0)
-            part = share[level] * weight[order]
+            circle = np.cumsum(np.diff(distance[order], prepend=0.0) > SAME * self.radius)
+            size = np.bincount(circle, weight[order])
+            before = np.cumsum(size) - size
+            share = np.clip((self.area - before) / np.maximum(size, 1e-300), 0.0, 1.0)
+            part = share[circle] * weight[order]
             reach = float(distance[order][part > 0.0].max(initial=0.0))
             if len(cells) == len(self.P) or (len(part) and part[-1] == 0.0 and reach <= radius):
                 return cells[cell[order]], part, reach
