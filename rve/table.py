@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common import Array, InputError, Rows, require
-from rve.common.files import TABLE_FORMAT, AnyPath, Inputs, check_belongs, check_out_file, job, sidecar_path, write_text
+from rve.common.files import AnyPath, Inputs, check_belongs, check_out_file, checksum, sidecar_path, write_text
 from rve.common.rings import check_rings
 from rve.common.texts import as_html, csv_text, json_text, number_column, read_columns, read_json_object
 from rve.geometry.weave import WEAVES
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
     from rve.equilibrium.interior_point import LockedStates
 
+TABLE_FORMAT = "ring-mesh strain-load table"
+"""The entry `format` of the sidecar."""
 COLUMNS = ["alpha_deg", "beta_deg", "E11", "E12", "E22", "S11", "S12", "S22"]
 COLUMNS += ["x2_x_mm", "x2_y_mm", "x3_x_mm", "x3_y_mm"]
 COLUMNS += ["R", "min_gap_mm", "contacts", "unique", "status", "iterations"]
@@ -144,7 +146,7 @@ def check_out_table(path: AnyPath, option: str = "--out", inputs: Inputs = ()) -
         raise InputError(f"{option} = {path}: is the name of the table's sidecar file; choose a name such as *.csv")
     inputs = list(inputs)
     check_out_file(path, option, inputs)
-    check_out_file(sidecar, option, inputs, is_sidecar=True)
+    check_out_file(sidecar, option, inputs)
 
 
 def write_table(table: StrainTable, path: AnyPath) -> None:
@@ -158,9 +160,9 @@ def write_table(table: StrainTable, path: AnyPath) -> None:
     numbers = [
         np.where(np.isfinite(one), one.astype(object), "") if one.dtype.kind == "f" else one for one in columns.values()
     ]
-    with job(target.parent, sidecar.name, clears=False) as folder:
-        write_text(folder / target.name, csv_text([*columns], zip(*(one.tolist() for one in numbers), strict=True)))
-        write_text(folder / sidecar.name, json_text({"format": TABLE_FORMAT} | table.provenance))
+    write_text(target, csv_text([*columns], zip(*(one.tolist() for one in numbers), strict=True)))
+    files = {"files": {target.name: checksum(target)}}
+    write_text(sidecar, json_text({"format": TABLE_FORMAT} | table.provenance | files))
 
 
 def read_table(path: AnyPath) -> StrainTable:

@@ -5,7 +5,6 @@ from .errors import noted_if_stopped as noted_if_stopped
 from .errors import require as require
 from .errors import shown as shown
 from .files import NO_CACHE as NO_CACHE
-from .files import TABLE_FORMAT as TABLE_FORMAT
 from .files import AnyPath as AnyPath
 from .files import Cache as Cache
 from .files import atomic_path as atomic_path

@@ -30,36 +30,45 @@ AnyPath = str | os.PathLike[str]
 Inputs = Iterable[AnyPath | None]
 Record = Mapping[str, Any]
 
-TABLE_FORMAT = "ring-mesh strain-load table"
-"""The entry `format` of a table's sidecar."""
 HIDDEN = ".part-"
 """Begins the names of temporary files and folders; what a killed process leaves of them may be removed."""
-MOST_JSON_BYTES = 32_000_000
-"""Parsing takes up to thirty times the bytes of a JSON file; a law of 5,000 half-spaces has 0.5 MB."""
 UNREADABLE = (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
 """What JSON that is missing, damaged or of another kind raises where its entries are used."""
 
 
 @contextmanager
+def _staging(folder: Path, name: str, *, makes: bool = False) -> Iterator[Path]:
+    """A new hidden folder inside `folder`, removed at the end; InputError, "name: cannot ...", if it cannot be made.
+
+    makes: `folder` and those above it are made if need be, and removed if they stay empty.
+    """
+    try:
+        new = [one for one in (folder, *folder.parents) if makes and not one.exists()]
+        if makes:
+            folder.mkdir(parents=True, exist_ok=True)
+        staged = Path(tempfile.mkdtemp(prefix=HIDDEN, dir=folder))
+    except OSError as error:
+        raise InputError(f"{name}: cannot be written: {error.strerror}") from error
+    try:
+        yield staged
+    finally:
+        shutil.rmtree(staged, ignore_errors=True)
+        with suppress(OSError):  # only empty folders can be removed
+            for one in new:
+                one.rmdir()
+
+
+@contextmanager
 def atomic_path(path: AnyPath) -> Iterator[Path]:
-    """A temporary path in the folder of `path`, with the same ending; moved to `path` when the block ends well.
+    """A temporary path with the same name; the file written there is moved to `path` when the block ends well.
 
     A link is followed: the file that it names is replaced. A process killed inside the block leaves the old file and a
-    hidden temporary one. Raises InputError when the folder does not exist or cannot be written.
+    hidden folder. Raises InputError when the folder of `path` does not exist or cannot be written.
     """
     target = Path(os.path.realpath(path))
-    try:
-        handle, name = tempfile.mkstemp(prefix=HIDDEN, suffix=target.suffix, dir=target.parent)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        temporary.chmod(0o644)
-        os.replace(temporary, target)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with _staging(target.parent, str(path)) as folder:
+        yield folder / target.name
+        os.replace(folder / target.name, target)
 
 
 def write_text(path: AnyPath, text: str) -> None:
@@ -101,33 +110,24 @@ def beside(path: AnyPath, ending: str) -> Path:
     return known.with_name(f"{known.name}_{ending}") if known.name not in ("", "..") else known / ending
 
 
-def check_out_file(path: AnyPath, option: str = "--out", inputs: Inputs = (), *, is_sidecar: bool = False) -> None:
-    """InputError for a file that cannot be written, or is read: one of `inputs` or its sidecar, by any name.
-
-    The sidecar of a table may be replaced by another one only, which may replace nothing else. Nothing is written.
-    """
-    target, folder = Path(path), Path(os.path.realpath(path)).parent
-    if not folder.is_dir():
-        raise InputError(f"{option} = {path}: cannot be written: the folder {target.parent} does not exist")
-    is_there = _check_replaceable(target, option, inputs)
-    if not all(os.access(one, os.W_OK) for one in (folder, target)[: 1 + is_there]):
-        raise InputError(f"{option} = {path}: cannot be written: it or its folder is write-protected")
-    if is_there and target.suffix == ".json" and _is_sidecar(target) != is_sidecar:
-        what = "is not that of a table, which would replace it" if is_sidecar else "is the sidecar file of a table"
-        raise InputError(f"{option} = {path}: {what}; choose another name")
+def check_out_file(path: AnyPath, option: str = "--out", inputs: Inputs = ()) -> None:
+    """InputError, before any work, for a file that cannot be written, or is one of `inputs` or its sidecar."""
+    with _staging(Path(os.path.realpath(path)).parent, f"{option} = {path}"):
+        _check_target(Path(path), option, inputs)
 
 
-def _is_sidecar(path: Path) -> bool:
-    try:
-        return bool(json.loads(path.read_text(encoding="utf-8"))["format"] == TABLE_FORMAT)
-    except UNREADABLE:
-        return False
+def check_out_job(folder: AnyPath, record: str, inputs: Inputs = ()) -> None:
+    """InputError, before any work, for a folder that cannot be made or written, or whose old files are `inputs`."""
+    out, inputs = Path(folder), list(inputs)
+    with _staging(out, f"--out = {folder}", makes=True):
+        for name in (record, *_listed(out, record)):
+            _check_target(out / name, "--out", inputs)
 
 
-def _check_replaceable(target: Path, option: str, inputs: Inputs) -> bool:
-    """Whether a file is there; InputError if it is no file, or one that is read."""
-    if not _exists(target, option):
-        return False
+def _check_target(target: Path, option: str, inputs: Inputs) -> None:
+    """InputError for what is there and no file, and for one of `inputs` or its sidecar, by any name."""
+    if not os.path.exists(target):
+        return
     if not target.is_file():
         raise InputError(f"{option} = {target}: is a folder, device, pipe or socket; give the name of a file")
     for one in inputs:
@@ -136,78 +136,31 @@ def _check_replaceable(target: Path, option: str, inputs: Inputs) -> bool:
             raise InputError(
                 f"{option} = {target}: would overwrite {one} or its sidecar, which is read; choose another name"
             )
-    return True
-
-
-def _exists(path: Path, option: str) -> bool:
-    try:
-        return path.exists()
-    except OSError as error:  # a name that no file can have
-        raise InputError(f"{option} = {path}: cannot be written: {error.strerror}") from error
-
-
-def check_out_job(folder: AnyPath, record: str, inputs: Inputs = ()) -> None:
-    """InputError, before any work, for a folder that cannot be made or written, or whose old files are read."""
-    out = Path(folder).absolute()
-    there = next(one for one in (out, *out.parents) if _exists(one, "--out"))
-    if not there.is_dir():
-        raise InputError(f"--out = {folder}: cannot be written: {there} is a file, not a folder")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise InputError(f"--out = {folder}: cannot be written: the folder {there} is write-protected")
-    inputs = list(inputs)
-    for name in (record, *_listed(out, record)):
-        _check_replaceable(Path(folder, name), "--out", inputs)
-
-
-def make_folder(path: AnyPath, option: str = "--out") -> Path:
-    """Make a folder if it is not there, and those above it; InputError if that cannot be."""
-    try:
-        Path(path).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{option} = {path}: cannot be made: {error.strerror}; give another folder") from error
-    return Path(path)
 
 
 @contextmanager
-def job(folder: AnyPath, record: str, inputs: Inputs = (), *, clears: bool = True) -> Iterator[Path]:
+def job(folder: AnyPath, record: str, inputs: Inputs = ()) -> Iterator[Path]:
     """A hidden folder for the files of a result; they take their places in `folder` when the block ends well.
 
     `folder` is made if need be. `record` is the name of the JSON file that stands for the result; the block must write
-    it. `clears`: files of the old result that the new one lacks are removed. InputError as of `check_out_job`, or when
-    a new file would overwrite one of `inputs`.
+    it. InputError for a folder that cannot be written, and when a new file would overwrite one of `inputs`.
     """
     out, inputs = Path(folder), list(inputs)
-    check_out_job(out, record, inputs)
-    made = [one for one in (out, *out.parents) if not one.exists()]
-    try:
-        staged = Path(tempfile.mkdtemp(prefix=HIDDEN, dir=make_folder(out)))
-    except OSError as error:
-        raise InputError(f"--out = {out}: cannot be written: {error.strerror}") from error
-    try:
+    with _staging(out, f"--out = {folder}", makes=True) as staged:
         yield staged
-        _publish(staged, out, record, inputs, clears=clears)
-    finally:
-        shutil.rmtree(staged, ignore_errors=True)
-        with suppress(OSError):  # only folders that are new and have stayed empty can be removed
-            for one in made:
-                one.rmdir()
-
-
-def _publish(staged: Path, out: Path, record: str, inputs: Inputs, *, clears: bool) -> None:
-    """Remove what the old result alone has, and move the new files to their places, the record last."""
-    names = [path.relative_to(staged).as_posix() for path in sorted(staged.rglob("*")) if path.is_file()]
-    for name in names:
-        _check_replaceable(out / name, "--out", inputs)
-    names.remove(record)
-    content = json.loads((staged / record).read_text(encoding="utf-8"))
-    content["files"] = {name: checksum(staged / name) for name in names}
-    write_text(staged / record, json.dumps(content, indent=2) + "\n")
-    for name, known in _listed(out, record).items() if clears else ():
-        if name not in names and (out / name).is_file() and checksum(out / name) == known:
-            (out / name).unlink()
-    for name in (*names, record):
-        (out / name).parent.mkdir(parents=True, exist_ok=True)
-        os.replace(staged / name, out / name)
+        names = [path.relative_to(staged).as_posix() for path in sorted(staged.rglob("*")) if path.is_file()]
+        for name in names:
+            _check_target(out / name, "--out", inputs)
+        names.remove(record)
+        content = json.loads((staged / record).read_text(encoding="utf-8"))
+        content["files"] = {name: checksum(staged / name) for name in names}
+        (staged / record).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        for name, known in _listed(out, record).items():
+            if name not in names and (out / name).is_file() and checksum(out / name) == known:
+                (out / name).unlink()
+        for name in (*names, record):
+            (out / name).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(staged / name, out / name)
 
 
 def _listed(folder: Path, record: str) -> dict[str, str]:
@@ -246,15 +199,17 @@ class Cache:
 
     def __post_init__(self) -> None:
         if self.folder is not None:
-            make_folder(self.folder, "--cache")
+            try:
+                Path(self.folder).mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise InputError(f"--cache = {self.folder}: cannot be made: {error.strerror}") from error
 
     def get(self, question: Record) -> dict[str, Any] | None:
         """The answer to a question that JSON can hold; None if it is not there, or no longer holds."""
         if self.folder is None:
             return None
         try:
-            with Path(self.folder, _file_name(question)).open("rb") as file:
-                found = json.loads(file.read(MOST_JSON_BYTES))
+            found = json.loads(Path(self.folder, _file_name(question)).read_bytes())
             asked, answer, files = found["question"], found["answer"], found["files"]
             is_whole = found["sha256"] == _digest({"question": asked, "answer": answer, "files": files})
             is_own = is_whole and _digest(asked) == _digest(question)

@@ -14,7 +14,6 @@ from rve.common.errors import InputError
 from rve.common.files import AnyPath, atomic_path
 from rve.common.texts import read_bytes
 
-MOST_MESH_BYTES = 500_000_000
 FORMATS = {".msh": "Gmsh MSH 2.2 and 4.1, ASCII or binary", ".vtu": "VTK XML unstructured grid"}
 
 DISPLACEMENT = "displacement_mm"
@@ -30,7 +29,7 @@ def read_mesh_file(path: Path) -> Any:
 
     Physical groups of a Gmsh file are `cell_sets` by name (version 4.1) or cell data "gmsh:physical" (version 2.2).
     """
-    read_bytes(path, MOST_MESH_BYTES)  # a name that is no file is told first
+    read_bytes(path)  # a name that is no file is told first
     kind = path.suffix.lower()
     if kind not in FORMATS:
         listed = ", ".join(f"{ending} ({what})" for ending, what in FORMATS.items())

@@ -26,7 +26,7 @@ import click
 
 from rve.common.commands.command_line import answer, options, say
 from rve.common.errors import InputError, noted_if_stopped, require
-from rve.common.files import Cache, checksum, make_folder, versions, write_text
+from rve.common.files import Cache, checksum, versions, write_text
 from rve.common.progress import tell
 from rve.common.texts import csv_text, read_json_object, recorded_reads
 
@@ -88,7 +88,7 @@ def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1, cluster: str 
     for name, count in Counter(item.name for item in items).items():
         if count > 1:
             raise InputError(f"{name}: {count} items of the sweep are called so, and each needs files of its own")
-    cache, ended = Cache(make_folder(out) / MARKS), dict[str, Ended]()
+    cache, ended = Cache(out / MARKS), dict[str, Ended]()
 
     def end(item: SweepItem, how: Ended) -> None:
         ended[item.name] = how
