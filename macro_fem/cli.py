@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from rve.common import (
     require,
     write_text,
 )
-from rve.common.commands.command_line import Group, answer, no_picture, options, say, say_next
+from rve.common.commands.command_line import Group, answer, options, say, say_next
 from rve.common.commands.sweeps import SweepItem, further_options, run_sweep, sweep_options
 
 MOST_RINGS = 90_000
@@ -196,7 +197,7 @@ def _say_next_of_curtain(out: Path, count: int | None) -> None:
     if count is None:
         return
     words: list[Any] = ["--max-rings", round(1.05 * count)] if count > MOST_RINGS else []
-    words += ["--out", beside(out, "rings"), *no_picture("pyvista")]
+    words += ["--out", beside(out, "rings"), *(() if find_spec("pyvista") else ("--no-picture",))]
     say_next("macro_fem", "localize", out, *words, why="every ring, and the forces in the worst cell")
 
 

@@ -62,9 +62,7 @@ class Pictures:
             path: Path | None = getattr(self, name)
             if path is not None:
                 require(package, extra, f"--{name}", "leave it out")
-                check_out_file(path, f"--{name}", inputs)
-                if path.suffix.lower() != ending:
-                    raise InputError(f"--{name} = {path}: give a name that ends in {ending}")
+                check_out_file(path, f"--{name}", inputs, (ending,))
 
 
 def write_pictures(folder: Path, steps: Sequence[CurtainSolution], wanted: Pictures) -> None:

@@ -16,7 +16,7 @@ from macro_fem.scene.moving import Ball, Motion
 from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.shapes import Mesh, MeshFile, Rectangle, Shape
 from macro_fem.scene.sites import Support
-from macro_fem.scene.tables import MAX_ENTRIES, Combination, Item, LiveLoad, Load, Solver, Vector, in_3d, leaves_plane
+from macro_fem.scene.tables import Combination, Item, LiveLoad, Load, Solver, Vector, in_3d, leaves_plane
 from rve.common import Array, InputError, Typed, as_html, read_toml, read_typed, refuse_unknown, shown
 from rve.common.materials import described
 
@@ -185,13 +185,11 @@ def read_records(
 ) -> list[Any]:
     """The records of an array of tables, one of which may stand alone, of one class, or of that which each `kind` says.
 
-    InputError for kinds, keys and values without sense, and for too many tables.
+    InputError for kinds, keys and values without sense.
     """
     tables = [tables] if isinstance(tables, dict) else tables
     if not isinstance(tables, list):
         raise InputError(f"{where} = {shown(tables)}: is not a table")
-    if len(tables) > MAX_ENTRIES:
-        raise InputError(f"{where}: has {len(tables)} entries, at most {MAX_ENTRIES} are allowed")
     if not isinstance(kinds, Mapping):
         return [read_typed(kinds, table, where) for table in tables]
     found = []

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from msgspec import Meta
 
-from macro_fem.scene.tables import MAX_CORNERS, MAX_ENTRIES, Degrees, Entry, Length, Name, Polygon
+from macro_fem.scene.tables import Degrees, Entry, Length, Name, Polygon
 from rve.common import Array, Typed, shown
 
 WEAVE_ANGLES = {"y": 0.0, "x": 90.0}
@@ -20,7 +20,7 @@ class Shape(Entry):
     """The sheet. `weave_angle`: degrees from the vertical to the weave's y axis; "y" is read as 0, "x" as 90."""
 
     kinds: ClassVar[dict[str, type[Any]]] = {}
-    holes: Annotated[tuple[Polygon, ...], Meta(max_length=MAX_ENTRIES)] = ()
+    holes: tuple[Polygon, ...] = ()
     weave_angle: Degrees = 0.0
     areal_mass: Annotated[float, Meta(ge=0.0, le=1e6)] | None = None
 
@@ -31,11 +31,6 @@ class Shape(Entry):
                 self.refuse(f"weave_angle = {shown(self.weave_angle)}: is neither 'x', 'y' nor a number of degrees")
             object.__setattr__(self, "weave_angle", WEAVE_ANGLES[self.weave_angle])
         super().__post_init__()
-
-    def check(self) -> None:
-        corners = len(getattr(self, "outline", ())) + sum(map(len, self.holes))
-        if corners > MAX_CORNERS:
-            self.refuse(f"outline and holes: have {corners} corners, at most {MAX_CORNERS} are allowed")
 
     def corners(self, cells: int) -> Array:
         """Corners (n, 2) of the outline in order; a round one has as many as fit `cells` along the width."""
@@ -85,7 +80,6 @@ class MeshFile(Shape, kind="file"):
     file: Name
 
     def check(self) -> None:
-        super().check()
         if self.holes:
             self.refuse('holes: are not used by shape = "file"')
 

@@ -177,7 +177,7 @@ class Track(Hanging, kind="track"):
 
     one = "runner"
 
-    path: Annotated[tuple[tables.Place, ...], Meta(min_length=2, max_length=tables.MAX_CORNERS)] | None = None
+    path: Annotated[tuple[tables.Place, ...], Meta(min_length=2)] | None = None
     radius: tables.Length | None = None
     angle: tables.Degrees | None = None
     height: tables.Coordinate | None = None

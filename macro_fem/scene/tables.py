@@ -14,10 +14,6 @@ from msgspec import Meta
 
 from rve.common import Typed
 
-MAX_CORNERS = 5_000
-"""Most corners of the outline and its holes together; the work grows with their square."""
-MAX_ENTRIES = 1_000
-"""Most supports, and most loads of one kind."""
 LEAST_MM, MOST_MM = 1e-6, 1e9
 """Range of lengths and coordinates, in which squares and ratios stay finite."""
 
@@ -39,7 +35,7 @@ Vector = tuple[float, ...]
 """Two or three components."""
 Way = Annotated[tuple[Coordinate, ...], Meta(min_length=2, max_length=3)]
 Forces = Annotated[tuple[Force, ...], Meta(min_length=2, max_length=3)]
-Polygon = Annotated[tuple[Place, ...], Meta(min_length=3, max_length=MAX_CORNERS)]
+Polygon = Annotated[tuple[Place, ...], Meta(min_length=3)]
 RingsPerHook = Annotated[int, Meta(ge=1, le=1_000)]
 Count = Annotated[int, Meta(ge=2, le=20_000)]
 HeldAxes = Literal["both", "x", "y", "z", "xy", "xz", "yz"]

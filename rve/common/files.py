@@ -110,8 +110,11 @@ def beside(path: AnyPath, ending: str) -> Path:
     return known.with_name(f"{known.name}_{ending}") if known.name not in ("", "..") else known / ending
 
 
-def check_out_file(path: AnyPath, option: str = "--out", inputs: Inputs = ()) -> None:
-    """InputError, before any work, for a file that cannot be written, or is one of `inputs` or its sidecar."""
+def check_out_file(path: AnyPath, option: str = "--out", inputs: Inputs = (), endings: tuple[str, ...] = ()) -> None:
+    """InputError, before any work, for a file that cannot be written, is one of `inputs` or its sidecar, or whose name
+    has none of the `endings`, where there are any."""
+    if endings and Path(path).suffix.lower() not in endings:
+        raise InputError(f"{option} = {path}: give a name that ends in {' or '.join(filter(None, endings))}")
     with _staging(Path(os.path.realpath(path)).parent, f"{option} = {path}"):
         _check_target(Path(path), option, inputs)
 

@@ -50,7 +50,7 @@ def test_a_command_takes_one_thread_of_blas_unless_told_otherwise(monkeypatch, t
         (AssertionError(), 1, "unforeseen AssertionError: no message"),
         (RecursionError("too deep"), 1, "unforeseen RecursionError"),
         (MemoryError(), 1, "not enough memory"),
-        (OSError(28, "No space left on device", "out.csv"), 1, "out.csv: No space left on device; make room"),
+        (OSError(28, "No space left on device", "out.csv"), 1, "out.csv: No space left on device; files that were"),
         (FileNotFoundError(2, "No such file", "law.json"), 1, "law.json: No such file"),
         (KeyboardInterrupt(), 130, "stopped by SIGINT; no file is left half-written, and the same command begins anew"),
     ],
@@ -99,7 +99,7 @@ def test_a_disk_that_is_full_is_a_sentence_and_old_files_stay(tmp_path):
         process = started(*command, limit=200)
         _, errors = process.communicate()
         assert process.returncode == 1
-        assert "File too large; make room on the disk" in errors
+        assert "File too large; files that were there before are unchanged" in errors
         assert errors.count("\n") == 1
         assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay
 
 from homogenize import CellInfo
-from macro_fem.fem.cells import counterclockwise, signed_areas, triangle_areas
+from macro_fem.fem.cells import counterclockwise, triangle_areas
 from macro_fem.scene.meshing.edges import inherited_edges, named_edges, paths
 from macro_fem.scene.meshing.mesh_files import cut_in_four, read_mesh
 from macro_fem.scene.meshing.places import with_nodes_at
@@ -193,11 +193,10 @@ def mesh_outline(
     `aspect` whose y axis is turned by `angle` (radians). ValueError if the polygons touch, cross or leave no region,
     or are finer than the cells.
     """
-    _check_polygons(outline, holes)
+    region = _checked_region(outline, holes)
     spacing = float(np.ptp(outline[:, 0])) / cells
     border = [_subdivided(polygon, spacing) for polygon in (outline, *holes)]
     inner = _lattice(outline, spacing, aspect, angle)
-    region = shapely.Polygon(outline, holes)
     sides = region.boundary
     shapely.prepare([region, sides])
     inner = inner[shapely.contains_xy(region, inner)]
@@ -238,23 +237,17 @@ def _lattice(outline: Array, spacing: float, aspect: float, angle: float) -> Arr
     return centre + local @ turn.T
 
 
-def _check_polygons(outline: Array, holes: list[Array]) -> None:
-    for number, polygon in enumerate((outline, *holes)):
-        name = f"hole {number}" if number else "outline"
-        if np.any(np.linalg.norm(polygon - np.roll(polygon, -1, axis=0), axis=1) == 0.0):
-            raise ValueError(f"{name}: has two equal corners in a row")
-        flat, sides = 1e-9 * float(np.ptp(polygon, axis=0).max()) ** 2, shapely.LinearRing(polygon)
-        if not sides.is_simple and sides.convex_hull.area > flat:
-            raise ValueError(f"{name}: crosses itself")
-        if abs(signed_areas(polygon)) <= flat:
-            raise ValueError(f"{name}: has no area, its corners lie on a line")
-    whole, gaps = shapely.Polygon(outline), [shapely.Polygon(hole) for hole in holes]
-    for k, gap in enumerate(gaps, start=1):
-        if not whole.contains_properly(gap):
-            raise ValueError(f"holes: hole {k} is not inside the outline")
-        for j, other in enumerate(gaps[: k - 1], start=1):
-            if gap.intersects(other):
-                raise ValueError(f"holes: hole {k} and hole {j} overlap")
+def _checked_region(outline: Array, holes: list[Array]) -> shapely.Polygon:
+    """What is inside of the outline and outside of the holes; ValueError for polygons that make no region."""
+    for polygon in (outline, *holes):
+        if (polygon == np.roll(polygon, -1, axis=0)).all(axis=1).any():
+            raise ValueError("outline and holes: have two equal corners in a row")
+    region = shapely.Polygon(outline, holes)
+    if not region.is_valid:
+        raise ValueError(f"outline and holes: {shapely.is_valid_reason(region)}, mm")
+    if region.area <= 1e-9 * float(np.ptp(outline, axis=0).max()) ** 2:
+        raise ValueError("outline: has no area, its corners lie on a line")
+    return region
 
 
 def _check_border(triangles: np.ndarray, lengths: list[int]) -> None:

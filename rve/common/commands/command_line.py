@@ -12,7 +12,6 @@ prints sentences by `say`, the last one by `say_next`, and its record by `answer
 
 from __future__ import annotations
 
-import errno
 import os
 import shlex
 import signal
@@ -20,7 +19,6 @@ import threading
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext
-from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -34,21 +32,20 @@ from rve.common.texts import json_text
 
 _ANEW = "no file is left half-written, and the same command begins anew"
 """What a command says that is stopped and has nothing to go on from."""
-_FULL = (errno.ENOSPC, errno.EFBIG)
 LARGEST_LOAD = 1e100
-_OPTIONS = {
-    "--quiet": "Show no progress and print no sentences; errors, and answers that are asked for, stay.",
-    "--json": "Print the record of the run as one JSON object instead of sentences.",
-    "--traceback": "Show where in the code an error arose.",
+_COMMON = {
+    "quiet": "Show no progress and print no sentences; errors, and answers that are asked for, stay.",
+    "json": "Print the record of the run as one JSON object instead of sentences.",
+    "traceback": "Show where in the code an error arose.",
 }
+"""Options of every command, which it finds in its context."""
 
 
 class Command(click.Command):
     """A click command that ends in one sentence, shows live progress, and has the options of all commands."""
 
     def __init__(self, name: str | None, **kwargs: Any) -> None:
-        how: dict[str, Any] = {"is_flag": True, "expose_value": False, "callback": _remember}
-        common = [click.Option([option], help=text, **how) for option, text in _OPTIONS.items()]
+        common = [click.Option([f"--{key}"], is_flag=True, help=text) for key, text in _COMMON.items()]
         super().__init__(name, params=[*(kwargs.pop("params", None) or []), *common], **kwargs)
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -56,13 +53,14 @@ class Command(click.Command):
         core is busy (a curtain took 80 to 190 s, not 20); whatever it raises becomes a sentence and an exit code.
         """
         os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is imported
+        ctx.meta.update({key: ctx.params.pop(key) for key in _COMMON})
         try:
-            with _stops_raised(), nullcontext() if _asked("--quiet") else shown():
+            with _stops_raised(), nullcontext() if _asked("quiet") else shown():
                 return super().invoke(ctx)
         except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise
         except (Exception, KeyboardInterrupt) as error:
-            if _asked("--traceback"):
+            if _asked("traceback"):
                 click.echo("".join(traceback.format_exception(error)), err=True, nl=False)
             code, sentence = ending(error)
             notes = getattr(error, "__notes__", [_ANEW] if isinstance(error, KeyboardInterrupt) else [])
@@ -99,14 +97,10 @@ def _stop(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt(number)
 
 
-def _remember(ctx: click.Context, param: click.Parameter, value: bool) -> None:
-    ctx.meta[f"rve{param.opts[0]}"] = value
-
-
 def _asked(name: str) -> bool:
     """Whether a common option was given; no outside of a command."""
     context = click.get_current_context(silent=True)
-    return context is not None and bool(context.meta.get(f"rve{name}"))
+    return context is not None and bool(context.meta.get(name))
 
 
 def ending(error: BaseException) -> tuple[int, str]:
@@ -120,8 +114,7 @@ def ending(error: BaseException) -> tuple[int, str]:
         return 128 + number, f"stopped by {number.name}"
     if isinstance(error, OSError) and error.strerror:
         where = "" if error.filename is None else f"{error.filename}: "
-        remedy = "make room on the disk, or write to another one; " if error.errno in _FULL else ""
-        return 1, f"{where}{error.strerror}; {remedy}files that were there before are unchanged"
+        return 1, f"{where}{error.strerror}; files that were there before are unchanged"
     if isinstance(error, MemoryError):
         return 1, "there is not enough memory for this; ask for fewer cells, rings, rows or workers"
     kind = type(error).__name__
@@ -130,7 +123,7 @@ def ending(error: BaseException) -> tuple[int, str]:
 
 def say(*lines: str, err: bool = False) -> None:
     """Prints what a command has done, unless --quiet, or without `err` (on standard error) --json, asks for none."""
-    if lines and not _asked("--quiet") and (err or not _asked("--json")):
+    if lines and not _asked("quiet") and (err or not _asked("json")):
         _print("\n".join(lines), err=err)
 
 
@@ -146,7 +139,7 @@ def answer(record: Mapping[str, Any], text: str | None = None, *, always: bool =
     """Prints the record of what a command has done as JSON, if --json asks for it, or `always`; numbers that are not
     finite become null. Else `text`, which is what was asked for and is printed with --quiet too.
     """
-    if always or _asked("--json"):
+    if always or _asked("json"):
         _print(json_text(record).rstrip())
     elif text is not None:
         _print(text)
@@ -195,11 +188,4 @@ def parse_load(text: str) -> Any:
 def check_plot(path: Path, inputs: Iterable[Path | None] = ()) -> None:
     """InputError, before anything is solved, for a picture of --plot that cannot be written."""
     require("matplotlib", "plots", "--plot")
-    check_out_file(path, "--plot", inputs)
-    if path.suffix.lower() not in ("", ".png", ".svg", ".pdf"):
-        raise InputError(f"--plot = {path}: give a name that ends in .png, .svg or .pdf")
-
-
-def no_picture(module: str) -> tuple[str, ...]:
-    """What a next command is given where its picture needs a module that is not installed."""
-    return () if find_spec(module) is not None else ("--no-picture",)
+    check_out_file(path, "--plot", inputs, ("", ".png", ".svg", ".pdf"))

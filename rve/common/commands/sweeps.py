@@ -10,7 +10,6 @@ from __future__ import annotations
 import io
 import os
 import signal
-import sys
 import threading
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -70,6 +69,8 @@ def run_item(item: SweepItem) -> Ended:
         with recorded_reads() as read, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
             main = import_module(f"{item.package}.cli").main
             code = main.main(list(item.arguments), prog_name=item.package, standalone_mode=False)
+    except click.Abort:  # what click makes of Ctrl-C outside of a command
+        raise KeyboardInterrupt from None
     except click.ClickException as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
             raise error.__cause__ from None
@@ -164,14 +165,8 @@ def _processes(jobs: int) -> Iterator[Workers]:
 
 
 def _end_with_parent() -> None:
-    """Let this worker end at once when its parent does; Ctrl-C and a closed terminal are handled by the parent.
-
-    An idle worker that is told to end leaves the queue in order: one killed there would keep the others waiting.
-    """
-    for name in ("SIGINT", "SIGHUP"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    """Let this worker end at once when its parent does, which alone handles Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
 
     def wait() -> None:

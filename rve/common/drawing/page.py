@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rve.common.drawing.plane import OVER, Scale
+from rve.common.drawing.plane import Scale
 from rve.common.drawing.space import parts
 from rve.common.errors import require
 from rve.common.files import AnyPath, write_text
@@ -54,14 +54,14 @@ def write_moments(path: AnyPath, moments: Iterable[tuple[str, Plotter]], title: 
     check_page(str(path))
     import plotly.graph_objects as go
 
-    figure, words, bounds = go.Figure(layout=LAYOUT), [], []
+    figure, words, bounds = go.Figure(layout=LAYOUT), list[str](), []
     owner: list[int] = []  # moment of each trace
     scene: dict[str, Any] = {}
-    for number, (word, plotter) in enumerate(moments):
+    for word, plotter in moments:
         tell(f"writing {Path(path).name}{f', {word}' if word else ''}")
         for trace in _traces(plotter):
-            figure.add_trace(trace | {"visible": not number})
-            owner.append(number)
+            figure.add_trace(trace | {"visible": not words})
+            owner.append(len(words))
         words.append(word)
         bounds.append(np.reshape(plotter.renderers[0].bounds, (3, 2)))
         scene = scene or _scene(plotter)
@@ -75,10 +75,9 @@ def write_moments(path: AnyPath, moments: Iterable[tuple[str, Plotter]], title: 
     ]
     if len(steps) > 1:
         figure.update_layout(sliders=[{"steps": steps, "pad": {"l": 20, "r": 20, "b": 10}}])
-    place = {"x": 0.01, "y": 1.0, "xref": "paper", "yref": "paper", "xanchor": "left", "yanchor": "bottom"}
     shown = escape(title, quote=False)
-    figure.add_annotation(text=shown.replace("\n", "<br>"), align="left", showarrow=False, font_size=16, **place)
-    figure.update_layout(scene=scene | {"domain": {"x": [0.0, RIGHT]}}, legend=LEGEND)
+    figure.update_layout(title={"text": shown.replace("\n", "<br>"), "x": 0.01}, legend=LEGEND)
+    figure.update_layout(scene=scene | {"domain": {"x": [0.0, RIGHT]}})
     settings = {"displaylogo": False, "responsive": True, "scrollZoom": True}
     text = figure.to_html(config=settings, include_plotlyjs=True, full_html=True, default_height="100vh")
     name = shown.replace("\n", " ")
@@ -116,10 +115,9 @@ def _colours(values: Any, scale: Scale, of_lines: bool) -> dict[str, Any]:
     to_shown = np.log10 if scale.spread == "log" else np.asarray
     shown, (low, top) = to_shown(np.maximum(values, scale.low)), to_shown([scale.low, scale.top]).tolist()
     share = 1.0 + (OVER_STRIP if scale.is_exceeded else 0.0)
-    places = np.linspace(0.0, 1.0, 65)
-    tones = [f"rgb({','.join(map(str, tone[:3]))})" for tone in scale.colour_map()(places, bytes=True)]
-    colours = [*zip((places / share).tolist(), tones, strict=True)]
-    colours += [(colours[-1][0], OVER), (1.0, OVER)] if scale.is_exceeded else []
+    places = np.linspace(0.0, 1.0, 101)
+    tones = [f"rgb({','.join(map(str, tone[:3]))})" for tone in scale.colour_map()(share * places, bytes=True)]
+    colours = [*zip(places.tolist(), tones, strict=True)]
     bar: dict[str, Any] = {"title": {"text": scale.title, "side": "right"}, "len": 0.7, "thickness": 18}
     bar |= {"x": RIGHT, "xanchor": "right"}
     if scale.spread == "log":
