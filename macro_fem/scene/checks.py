@@ -15,6 +15,7 @@ from macro_fem.scene.shapes import Disk, MeshFile, Rectangle
 from macro_fem.scene.sites import Hanging
 from macro_fem.scene.tables import NO_MOVE, Bar, LiveLoad, Timed, Wind, in_3d
 from rve.common import InputError
+from rve.common.typed import BadField
 
 if TYPE_CHECKING:
     from macro_fem.scene.schema import Scene
@@ -65,10 +66,18 @@ def _over_time(scene: Scene) -> Iterator[str]:
         for (before, _), (after, _) in pairwise(history):
             if after <= before:
                 yield f"{item.where} history: {after:g} s does not come after {before:g} s"
-        if isinstance(item, Timed) and history and scaled(item, 0.5) == item:
+    for item in scene.of(Timed):
+        for t, share in item.history:
+            try:
+                scaled(item, share)
+            except BadField as error:
+                yield f"{item.where} history: a share of {share:g}, at {t:g} s: {error.what}"
+        if item.history and scaled(item, 0.5) == item:
             yield f"{item.where} history: has no effect without a move or load that it scales"
     if scene.motion is not None and scene.load.steps > 1:
         yield f"[load] steps = {scene.load.steps}: has no effect in motion, use history"
+    if scene.motion is not None and scene.solver.is_bounded:
+        yield "[solver] bounds and adapt: have no effect in motion"
 
 
 def _of_combinations(scene: Scene) -> Iterator[str]:

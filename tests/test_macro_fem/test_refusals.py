@@ -59,12 +59,10 @@ combination = [{name = "a", weigth = 1}] -> did you mean weight?
 load.wind = {direction = [0, 0, 1]} -> [load.wind] pressure: is missing; give it in N/m2, or speed in m/s
 load.wind = {direction = [0, 0, 0], pressure = 1} -> direction = [0.0, 0.0, 0.0]: has no direction
 load.wind = {direction = [0, 0, 1], pressure = 5, speed = 3} -> speed = 3: is not used together with pressure
-support = {kind = "edge", edge = "top", held = "y"}; load.wind = {pressure = 6, direction = [0, 0, -2]}
-  -> N along z, in which
+support = {kind = "edge", edge = "top", held = "y"}; load.wind = {pressure = 6, direction = [0, 0, -2]} -> N along z
 support = {kind = "edge", edge = "top", held = "xy"}; load.point = {at = [0, 0], force = [0, 0, 1]} -> 1 N along z
 support = {kind = "edge", edge = "top", held = "yz"}; load.wind = {pressure = 4, direction = [1, 0, 1]} -> along x
-support = {kind = "edge", edge = "top", held = "xz"}; load.wind = {pressure = 6, direction = [0, 0, 1]}
-  -> along y, in which
+support = {kind = "edge", edge = "top", held = "xz"}; load.wind = {pressure = 6, direction = [0, 0, 1]} -> along y
 obstacle = {kind = "cube"} -> [obstacle] kind = 'cube': is not one of floor, wall, sphere, cylinder, box
 obstacle = {kind = "cylinder", axis = [0, 0, 0], radius = 1} -> axis = [0.0, 0.0, 0.0]: has no direction
 obstacle = {kind = "box", corner = [0, 0, 0], size = [9, 4, 9], rounding = 3}
@@ -84,8 +82,7 @@ curtain = {width = 3.0, height = 2.5} -> [curtain] width = 3: is less than
 curtain.height = 2.5 -> lengths are in mm, did you mean 2500?
 curtain = {shape = "disk", radius = 1.2} -> radius = 1.2: is less than the diameter of a ring, 10 mm
 support = {kind = "hooks", pitch = 0.2} -> (hooks) pitch = 0.2
-obstacle = {kind = "sphere", centre = [0, 0, 50], radius = 0.05}
-  -> less than the radius of a ring, 5 mm; lengths are in mm
+obstacle = {kind = "sphere", centre = [0, 0, 50], radius = 0.05} -> less than the radius of a ring, 5 mm
 support = [{kind = "top"}, {kind = "edge", edge = "bottom", move = [0, 2]}];
   obstacle = {kind = "sphere", centre = [50, 50, -31], radius = 30, move = [0, 0, 30]}
   -> [obstacle]: the curtain cannot clear its obstacles
@@ -103,6 +100,9 @@ motion.duration = 1.0; obstacle.kind = "floor"; body = {kind = "sphere", radius 
 motion.duration = 1.0; support = {kind = "top", history = [[1.0, 0.0], [0.5, 1.0]]} -> does not come after
 motion.duration = 1.0; support = {kind = "top", history = [[0.0, nan]]} -> history
 motion.duration = 1.0; support = {kind = "top", history = [[0.0, 0.0], [1.0, 1.0]]} -> without a move
+motion.duration = 1.0; support = {kind = "track", fullness = 1.5, history = [[0, 1], [0.5, 0]]} -> share of 0, at 0.5 s
+motion.duration = 1.0; load.wind = {speed = 9, direction = [0, 0, 1], history = [[0, -1]]} -> share of -1, at 0 s
+motion.duration = 1.0; solver.bounds = true -> bounds and adapt: have no effect in motion
 motion.duration = 1.0; mesh.element = "P2" -> motion needs P1
 support = {kind = "top", release = 0.1} -> has no effect without [motion]
 """
