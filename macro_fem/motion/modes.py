@@ -30,9 +30,10 @@ from macro_fem.elastic_forces import forces_by, with_forces
 from macro_fem.fem.assembly import SparsityPattern, stiffness
 from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
 from macro_fem.fem.discretization import ELEMENTS
-from macro_fem.motion.stage import masses_of, mesh_masses, pushed_points, scene_at
+from macro_fem.motion.stage import TONNE, masses_of, mesh_masses, pushed_points, scene_at
 from macro_fem.output.files import corner_positions
 from macro_fem.scene.supports import build_supports
+from macro_fem.scene.tables import Bar
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError, NotConverged, job, json_text, versions, write_text
 from rve.common.drawing.plane import Scale
@@ -190,14 +191,20 @@ def _across(solution: CurtainSolution) -> sparse.csc_matrix:
 
 
 def _of_one_component(solution: CurtainSolution) -> tuple[sparse.spmatrix, ...]:
-    """The geometric stiffness, N/mm, and consistent and lumped masses, N s2/mm, (n_nodes, n_nodes)."""
+    """The geometric stiffness, N/mm, and consistent and lumped masses, N s2/mm, (n_nodes, n_nodes); of straight bars,
+    which mix the motions of their nodes, both are consistent."""
     problem, disc, S = solution.problem, solution.problem.disc, solution.S
     A = S[:, SQUARE][:, None, :, None, :]
     pattern = SparsityPattern.of(disc, 1, np.ones(disc.n_nodes, bool))
-    lumped, mesh = sparse.diags(masses_of(problem)), sparse.diags(mesh_masses(problem))
-    unit = skfem.models.poisson.mass.assemble(skfem.CellBasis(problem.mesh.mesh, ELEMENTS[disc.element][0]()))
-    per_area = mesh_masses(problem).sum() / disc.cell_area.sum()
-    return pattern.full(stiffness(disc, pattern, A)), lumped - mesh + per_area * unit, lumped
+    element, mass = ELEMENTS[disc.element][0](), skfem.models.poisson.mass
+    own, unit = mesh_masses(problem), mass.assemble(skfem.CellBasis(problem.mesh.mesh, element))
+    M, lumped = own.sum() / unit.sum() * unit, sparse.diags(own)
+    for bar in problem.scene.of(Bar):
+        facets = problem.mesh.edge(bar.edge, f"{problem.scene.source}: [load.bar] edge")
+        along = mass.assemble(skfem.FacetBasis(problem.mesh.mesh, element, facets=facets))
+        along = TONNE * bar.mass / along.sum() * along
+        M, lumped = M + along, lumped + (along if bar.straight else sparse.diags(along @ np.ones(len(own))))
+    return pattern.full(stiffness(disc, pattern, A)), M, lumped
 
 
 def _constraints(solution: CurtainSolution, T: sparse.csc_matrix) -> sparse.csr_matrix:
