@@ -155,7 +155,7 @@ def write_mesh(tmp_path, points, cells):
 
 SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 BAD_HOLES = (
-    ([[[40, 30], [160, 30], [60, 50]]], "Self-intersection.100 3"),
+    ([[[40, 30], [160, 30], [60, 50]]], "Self-intersection.100 42"),
     ([[[140, 30], [160, 30], [160, 50]]], "Hole lies outside"),
     ([[[40, 30], [60, 50], [60, 30], [40, 50]]], "Self-intersection.50 40., mm"),
     ([[[40, 30], [50, 30], [60, 30]]], "Self-intersection"),
