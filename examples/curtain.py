@@ -24,9 +24,9 @@ from pathlib import Path
 import click
 import numpy as np
 
-from rve.common.commands.command_line import Command, answer, no_picture, say, say_next
+from rve.common.commands.command_line import Command, answer, say, say_next
 from rve.common.errors import noted_if_stopped, require
-from rve.common.files import beside, job, write_text
+from rve.common.files import job, write_text
 
 ACCURACY = click.FloatRange(min=1e-4, max=1.0)
 FOLDER = click.Path(path_type=Path, file_okay=False)
@@ -157,8 +157,7 @@ def main(out: Path, cells: int | None, accuracy: float | None) -> None:
     found = run(out, setting)
     say(f"done in {time.perf_counter() - began:.1f} s; see {out}/cell.png, {out}/law, {out}/curtain/curtain.png")
     answer(found)
-    words = ("localize", out / "curtain", "--out", beside(out, "rings"), *no_picture("pyvista"))
-    say_next("macro_fem", *words, why="every ring of the curtain")
+    say_next("macro_fem", "localize", out / "curtain", "--out", f"{out}_rings", why="every ring of the curtain")
 
 
 if __name__ == "__main__":

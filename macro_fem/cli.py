@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,6 @@ import click
 
 from rve.common import (
     InputError,
-    beside,
     check_out_file,
     check_out_job,
     json_text,
@@ -197,7 +195,7 @@ def _say_next_of_curtain(out: Path, count: int | None) -> None:
     if count is None:
         return
     words: list[Any] = ["--max-rings", round(1.05 * count)] if count > MOST_RINGS else []
-    words += ["--out", beside(out, "rings"), *(() if find_spec("pyvista") else ("--no-picture",))]
+    words += ["--out", f"{out}_rings"]
     say_next("macro_fem", "localize", out, *words, why="every ring, and the forces in the worst cell")
 
 
@@ -289,5 +287,5 @@ def localize(curtain: Path, out: Path, window: str | None, max_rings: int, **fil
     found = run_localize(curtain, out, LocalizeOptions(parse_window(window), max_rings), **files)
     say(*ring_field_lines(found, out))
     answer(found)
-    words = ["--out", beside(out, "tubes"), *([] if window is None else ["--window", window])]
+    words = ["--out", f"{out}_tubes", *([] if window is None else ["--window", window])]
     say_next("macro_fem", "localize", curtain, *words, "--tubes", "--no-picture", why="wires for ParaView")

@@ -29,7 +29,7 @@ rve table --out new.csv --cells 2 -> cells
 rve table --out new.csv --cells 9x1 -> cells
 rve table --out new.csv --cells 2x1 --method stewart-trinkle -> cells
 rve table --out new.csv --material mithril -> known are steel
-rve table --out new.csv --young 210 -> young = 210.0: expected a number >= 500
+rve table --out new.csv --young 210 -> young = 210.0: expected float >= 500
 rve table --out new.csv --rings --joint glued -> --joint = 'glued'
 rve table --out new.csv --joint butted -> --joint: belongs to --rings
 rve table --out table.json -> sidecar
@@ -47,7 +47,7 @@ homogenize support nowhere.json --S 1,0,0 -> nowhere.json: cannot be read
 homogenize strength law.json --S 1,2,1 -> not tensile
 homogenize strength law.json --S 1,nan,1 -> three finite numbers
 homogenize strength law.json --S 1e308,0,1e308 -> at most 1e+100
-homogenize strength law.json --S 1,0,1 --yield -4 -> --yield = -4.0: expected a number > 0
+homogenize strength law.json --S 1,0,1 --yield -4 -> --yield = -4.0: expected float > 0
 homogenize strength cloth.json --S 1,0,1 -> strength
 homogenize fit table.csv --out new.json --kind spline -> 'spline' is not one of
 homogenize fit table.csv --out nowhere/law.json -> nowhere

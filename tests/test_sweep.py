@@ -204,8 +204,8 @@ def test_a_sweep_that_loses_its_processes_keeps_what_is_finished_and_says_what_i
     assert [how.code for how in sweep(items, tmp_path)] == [0] * 4
 
 
-def test_a_fault_of_a_command_is_no_lost_worker(tmp_path, monkeypatch):
+def test_a_fault_beside_the_commands_fails_its_items_by_name(tmp_path, monkeypatch):
     monkeypatch.setattr("rve.common.commands.sweeps.ProcessPoolExecutor", lambda *_, **how: ThreadPoolExecutor(1))
     monkeypatch.setattr("rve.common.commands.sweeps.run_item", lambda item: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
-        sweep(table_items(tmp_path, [5.0], [0.5], ["4-in-1"], "y", GRID), tmp_path, jobs=2)
+    (how,) = sweep(table_items(tmp_path, [5.0], [0.5], ["4-in-1"], "y", GRID), tmp_path, jobs=2)
+    assert (how.code, "ZeroDivisionError: division by zero" in how.message) == (1, True)

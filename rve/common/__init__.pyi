@@ -8,7 +8,6 @@ from .files import NO_CACHE as NO_CACHE
 from .files import AnyPath as AnyPath
 from .files import Cache as Cache
 from .files import atomic_path as atomic_path
-from .files import beside as beside
 from .files import check_belongs as check_belongs
 from .files import check_out_file as check_out_file
 from .files import check_out_job as check_out_job

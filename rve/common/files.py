@@ -100,16 +100,6 @@ def sidecar_path(path: AnyPath) -> Path:
     return table.with_suffix(".json") if table.name else table  # "." and "/" have no name to change
 
 
-def beside(path: AnyPath, ending: str) -> Path:
-    """A new name for what belongs to a file or folder: "curtain" and "rings" give "curtain_rings".
-
-    >>> print(beside("curtain", "rings"), beside(".", "rings"))
-    curtain_rings rings
-    """
-    known = Path(path)
-    return known.with_name(f"{known.name}_{ending}") if known.name not in ("", "..") else known / ending
-
-
 def check_out_file(path: AnyPath, option: str = "--out", inputs: Inputs = (), endings: tuple[str, ...] = ()) -> None:
     """InputError, before any work, for a file that cannot be written, is one of `inputs` or its sidecar, or whose name
     has none of the `endings`, where there are any."""

@@ -47,11 +47,9 @@ def read_mesh_file(path: Path) -> Any:
             if not np.isin(block.data, np.arange(len(points))).all():
                 raise ValueError(f"a {block.type} names a point that is not among its {len(points)}")
     except (Exception, SystemExit) as error:  # meshio raises whatever damaged data leads to
-        text = next(iter(str(error).splitlines()), "")[:200]
+        text = f"it is damaged or of another kind ({type(error).__name__}: {' '.join(str(error).split())[:200]})"
         if "gmsh:physical" in str(error):
             text = "only some of its surfaces are in a physical group: put all into one, or save it as version 2.2"
-        elif " " not in text:
-            text = f"it is damaged or of another kind ({type(error).__name__} {text}".strip() + ")"
         raise InputError(f"{path}: cannot be read as {kind[1:].upper()}: {text}") from error
     return mesh
 

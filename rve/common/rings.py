@@ -33,7 +33,7 @@ DensityPerM3 = Annotated[float, Meta(ge=100.0, le=30_000.0)]
 
 
 def check_ring_size(r1: float, option: str) -> None:
-    """InputError for rings outside 0.1 to 200 mm, with the value in mm that was probably meant.
+    """InputError for rings outside 0.1 to 200 mm, with the value in mm where metres were probably meant.
 
     >>> check_ring_size(0.006, "--r1")
     Traceback (most recent call last):
@@ -41,8 +41,7 @@ def check_ring_size(r1: float, option: str) -> None:
     rve.common.errors.InputError: --r1 = 0.006: rings are from 0.1 to 200 mm; lengths are in mm, did you mean 6?
     """
     if not LEAST_R1_MM <= r1 <= MOST_R1_MM:
-        meant = [x for x in (1e3 * r1, 1e-3 * r1) if LEAST_R1_MM <= x <= MOST_R1_MM]
-        hint = f"; lengths are in mm, did you mean {meant[0]:g}?" if meant else ""
+        hint = f"; lengths are in mm, did you mean {1e3 * r1:g}?" if LEAST_R1_MM <= 1e3 * r1 <= MOST_R1_MM else ""
         raise InputError(f"{option} = {r1:g}: rings are from {LEAST_R1_MM:g} to {MOST_R1_MM:g} mm{hint}")
 
 

@@ -17,11 +17,6 @@ import msgspec
 from rve.common.errors import InputError, shown
 
 Record = TypeVar("Record", bound="Typed")
-NAMES = {
-    **{"float": "a number", "int": "a whole number", "str": "a text", "bool": "true or false", "null": "nothing"},
-    **{"array": "a list", "object": "a table of names and values"},
-}
-"""What msgspec's types are called in messages."""
 
 
 class BadField(InputError):
@@ -42,7 +37,7 @@ class Typed:
     >>> Steps(most=0.5)
     Traceback (most recent call last):
     ...
-    rve.common.typed.BadField: Steps: most = 0.5: expected a whole number, got a number
+    rve.common.typed.BadField: Steps: most = 0.5: expected int, got float
     """
 
     def __post_init__(self) -> None:
@@ -137,11 +132,11 @@ def _meant(word: str, known: Iterable[str]) -> str:
 
 
 def _words(what: str, value: Any, kind: Any) -> str:
-    """What msgspec says, in the words of a user."""
+    """What msgspec says, or the words that a text may be."""
     words = _literals(kind)
     if words and what.startswith(("Invalid enum value", "Expected `str")):
         return f"is not one of {', '.join(words)}; {_meant(str(value), words)}".rstrip("; ")
-    told = re.sub(r"`(.*?)`", lambda found: " or ".join(NAMES.get(one, one) for one in found[1].split(" | ")), what)
+    told = what.replace("`", "")
     return told[0].lower() + told[1:]
 
 

@@ -26,8 +26,8 @@ support = {kind = "top", gather = 1.9} -> farther apart
 support = {kind = "hooks", pitch = 500.0} -> pitch = 500
 support = {kind = "hooks", pitch = 50.0, capacity = true} -> capacity = True
 support = {kind = "hooks", pitch = 25, sliding = true, gather = 0.8} -> gather = 0.8: has no effect on hooks
-support = {kind = "top", move = [1, 2, 3, 4]} -> (top) move = [1, 2, 3, 4]: expected a list of length <= 3
-support = {kind = "point", at = [0, 1, 2]} -> at = [0, 1, 2]: expected a list of length 2
+support = {kind = "top", move = [1, 2, 3, 4]} -> (top) move = [1, 2, 3, 4]: expected array of length <= 3
+support = {kind = "point", at = [0, 1, 2]} -> at = [0, 1, 2]: expected array of length 2
 support = {kind = "edge", edge = "top", held = "zx"} -> held = 'zx': is not one of both, x, y, z, xy, xz, yz
 support = {kind = "edge", edge = "top", held = "z"} -> held = 'z': holds nothing, as the scene lies in the plane
 support = {kind = "edge", edge = "top", held = "xy", move = [0, 0, 1]} -> has no effect along z, as held = 'xy'
@@ -53,7 +53,7 @@ support.kind = "rail"; load.edge = {edge = "bottom", force = [0.1, 0.0]} -> noth
 support = [{kind = "top"}, {kind = "point", at = [0, 100], move = [5, 0]}] -> the point (0, 100) at different places
 combination = [{name = "a", wind = 1.5}] -> wind: has no effect, as the scene has no [load.wind]
 combination = [{name = "a"}, {name = "a"}] -> a: is the name of two combinations
-combination = [{name = "a", bar = -1}] -> [combination] bar = -1: expected a number >= 0
+combination = [{name = "a", bar = -1}] -> [combination] bar = -1: expected float >= 0
 combination = [{bar = 1}] -> [combination] name: is missing
 combination = [{name = "a", weigth = 1}] -> did you mean weight?
 load.wind = {direction = [0, 0, 1]} -> [load.wind] pressure: is missing; give it in N/m2, or speed in m/s
@@ -77,7 +77,7 @@ start = {origin = [0, 0, 0]} -> [start]: has no effect without bodies
 material.poisson = 0.4 -> poisson = 0.4: is that of the law's table, 0.3
 material.colour = 1 -> colour = 1: unknown key; known are material, density
 material = {yield = 400.0, ultimate = 300.0} -> [material] ultimate = 300: is less than the yield stress, 400
-material.young = 210.0 -> [material] young = 210.0: expected a number >= 500
+material.young = 210.0 -> [material] young = 210.0: expected float >= 500
 curtain = {width = 3.0, height = 2.5} -> [curtain] width = 3: is less than
 curtain.height = 2.5 -> lengths are in mm, did you mean 2500?
 curtain = {shape = "disk", radius = 1.2} -> radius = 1.2: is less than the diameter of a ring, 10 mm
@@ -92,7 +92,7 @@ motion.duration = 0.1; support = [] -> nothing holds
 motion = {} -> duration
 motion.duration = nan -> [motion] duration = nan
 motion = {duration = 1.0, step = 2.0} -> longer than the duration
-motion = {duration = 1e-300} -> expected a number >= 1e-09
+motion = {duration = 1e-300} -> expected float >= 1e-09
 motion.duration = 1.0; body = {kind = "sphere", radius = 50, mass = -1, at = [50, 50, 9]} -> mass = -1
 motion.duration = 1.0; solver.space = true; body = {kind = "sphere", radius = 50, mass = 1, at = [50, 50, 9]}
   -> inside it at the start

@@ -13,7 +13,7 @@ import signal
 import threading
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -35,8 +35,6 @@ RETRIES = 3
 """How often an item is begun again whose worker was lost."""
 CONNECT_S = 10.0
 LOST = "its worker or the scheduler was lost, perhaps for lack of memory: the same sweep, with fewer workers, goes on"
-Workers = tuple[Executor, tuple[type[Exception], ...]]
-"""What runs items, and what it raises for an item when workers are lost."""
 
 
 @dataclass(frozen=True)
@@ -117,46 +115,45 @@ def _run(items: Sequence[SweepItem], jobs: int, cluster: str | None) -> Generato
         for item in items:
             yield item, run_item(item)
         return
-    with _processes(jobs) if cluster is None else _cluster(cluster) as (workers, losses):
+    with _processes(jobs) if cluster is None else _cluster(cluster) as workers:
         futures = {}
         for item in items:
             try:
                 futures[workers.submit(run_item, item)] = item
-            except losses as error:
+            except Exception as error:
                 yield item, _lost(error)
         for future in as_completed(futures):
             try:
                 how = future.result()
-            except losses as error:
+            except Exception as error:
                 how = _lost(error)
             yield futures[future], how
 
 
-def _lost(error: BaseException) -> Ended:
-    return Ended(1, f"{LOST} ({' '.join(str(error).split()) or type(error).__name__})")
+def _lost(error: Exception) -> Ended:
+    return Ended(1, f"{LOST} ({type(error).__name__}: {' '.join(str(error).split())})")
 
 
 @contextmanager
-def _cluster(address: str) -> Iterator[Workers]:
+def _cluster(address: str) -> Iterator[Executor]:
     """Workers of a Dask scheduler; InputError if none answers."""
-    from distributed import Client, KilledWorker
-    from distributed.comm import CommClosedError
+    from distributed import Client
 
     try:
         client = Client(address, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
         raise InputError(f"--cluster = {address}: no Dask scheduler answers there: {error}") from error
     with client:
-        yield client.get_executor(pure=False, retries=RETRIES), (KilledWorker, CancelledError, CommClosedError)
+        yield client.get_executor(pure=False, retries=RETRIES)
 
 
 @contextmanager
-def _processes(jobs: int) -> Iterator[Workers]:
+def _processes(jobs: int) -> Iterator[Executor]:
     """Worker processes that end with the block, at once where it is left early, and when this process ends."""
     before, is_left_early = active_children(), True
     pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_end_with_parent)
     try:
-        yield pool, (BrokenExecutor,)
+        yield pool
         is_left_early = False
     finally:
         pool.shutdown(wait=not is_left_early, cancel_futures=True)
