@@ -128,7 +128,7 @@ class Program:
         """(n, n, F L) of every cone, or of some: what the unknowns F (nq, d, 2), eps (nq, k) do to it."""
         point = self.cones.point[which]
         head, FL = soc.row_dot(self.N[which], eps[point]), times_root(F, self.L[which], point)
-        return Vectors(head, np.concatenate([head[None].repeat(self.lead, axis=0), FL.T]).T)
+        return Vectors(head, np.concatenate([head[None], FL.T]).T if self.lead else FL)
 
     def slack(self, z: Array, eps: Array, which: np.ndarray | slice = slice(None)) -> Vectors:
         """(c + n, n, F L): the primal cone vectors that the unknowns ask for."""
