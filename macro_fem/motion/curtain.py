@@ -16,7 +16,17 @@ from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
 from macro_fem.motion.pace import Failed, Frame, Mover
 from macro_fem.motion.stage import Contacts, forces_at, let_go, masses_of, scene_at, stored_energy, weights_of
-from macro_fem.motion.step import Account, Moment, Moving, Worked, difference, next_account, solve_step, support_forces
+from macro_fem.motion.step import (
+    Account,
+    Moment,
+    Moving,
+    Worked,
+    difference,
+    next_account,
+    rebound,
+    solve_step,
+    support_forces,
+)
 from macro_fem.output import strength
 from macro_fem.output.files import write_vtu
 from macro_fem.output.pictures import figures, side_by_side
@@ -138,6 +148,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         return MotionFrame(
             moment=Moment(now.t + h, end.x, change.velocity(end.x)),
             account=account,
+            rebound=rebound(moving.mass, change, forces, end.x, worked),
             iterations=end.result.iterations,
             P=P,
             S=end.result.S,

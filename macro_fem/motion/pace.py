@@ -65,12 +65,13 @@ class Pace:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Frame(ABC):
-    """What a run knows of a moment: places and velocities, the energy account, how the run goes on from it, and how
-    many iterations the step took."""
+    """What a run knows of a moment: places and velocities, the energy account, how the run goes on from it, and of its
+    step the `rebound` in N mm and how many iterations it took."""
 
     moment: Moment
     account: Account
     pace: Pace = Pace(0.0)
+    rebound: float = 0.0
     iterations: int = 0
 
     @property
@@ -258,8 +259,9 @@ class Mover(ABC, Generic[F, A]):
         In smooth motion on the locked surface the loss by locking, of order h^2, and the gain of the scheme cancel to
         h^3. An impact keeps part of its loss, and differences over it would make what locks or touches rebound, which
         shows in a gain: Euler's step takes its place, and the next step is Euler's as well. What sets off at once while
-        it touches or is taut closes no gap: there the loss of the scheme tells. Of Euler's own steps, which always
-        lose, that counts in which nearly all motion begins.
+        it touches or is taut closes no gap: there the loss of the scheme tells. What has met something just before, or
+        in a step of Euler's, closes none either and rebounds with a loss: there its `rebound` tells. Of Euler's own
+        steps, which always lose, that counts in which nearly all motion begins.
         """
         most, kinetic = start.pace.most, end.account.kinetic
         locking = end.account.lost_by_locking - start.account.lost_by_locking
@@ -272,4 +274,5 @@ class Mover(ABC, Generic[F, A]):
         kinks = (t for item in (*self.scene.support, *self.scene.obstacle) for t, _ in item.history)
         has_kink = any(before.t - self.near <= t < end.moment.t - self.near for t in kinks)
         is_jump = scheme > LEAST_IMPACT * max(most, kinetic) and has_kink
-        return is_lost or is_jump or lost < -GAIN * most
+        is_back = end.rebound > LEAST_IMPACT * most
+        return is_lost or is_jump or is_back or lost < -GAIN * most

@@ -16,7 +16,7 @@ import numpy as np
 
 from macro_fem.motion.pace import Failed, Frame, Mover
 from macro_fem.motion.stage import TONNE, relative_wind, scene_at
-from macro_fem.motion.step import Account, Forces, Moment, Worked, difference, next_account
+from macro_fem.motion.step import Account, Forces, Moment, Worked, difference, next_account, rebound
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
 from macro_fem.scene.loads import PER_MM2, areal_mass
@@ -162,7 +162,10 @@ class MovingRings(Mover[RingFrame, RingScene]):
         worked = Worked(np.concatenate([rings.reaction, none]), end.pushes, moved=moved, touched=end.touched)
         account = next_account(frame.account, mass, change, now, forces, x, worked)
         moment = Moment(now.t + h, x, change.velocity(x))
-        return RingFrame(moment=moment, account=account, iterations=rings.iterations, rings=rings, asked=asked)
+        back = rebound(mass, change, forces, x, worked)
+        return RingFrame(
+            moment=moment, account=account, rebound=back, iterations=rings.iterations, rings=rings, asked=asked
+        )
 
     def peaks(self, frame: RingFrame) -> list[float]:
         """The largest contact force in N, the least gap in mm, whether links are intact, iterations."""

@@ -148,14 +148,21 @@ def test_balls_fall_on_a_floor_and_strike_each_other():
     assert v[:, 0] @ [1.0, 0.5] == pytest.approx(1000.0)
 
 
+@pytest.mark.parametrize("z", [(-30.0,), (-50.0,), (-30.0, -15.0)])
+def test_balls_stop_at_a_wall_at_the_end_of_a_step_within_the_first_and_one_after_another(z):
+    ball = {"kind": "sphere", "radius": 40.0, "mass": 0.05, "velocity": [0.0, 0.0, -3000.0]}
+    balls = [ball | {"at": [1e3 * k, 2e3, height]} for k, height in enumerate(z)]
+    wall = {"kind": "wall", "facing": [0.0, 0.0, 1.0], "point": [0.0, 0.0, -100.0]}
+    found, _ = moved({"support": TOP, "body": balls, "obstacle": wall, "motion": {"duration": 0.04, "step": 0.005}})
+    assert np.abs(found.frames[-1].moment.v[:, 2]).max() < 1.0
+
+
 def test_a_history_draws_the_curtain_along_its_track():
     track = {"kind": "track", "radius": 600.0, "fullness": 1.3, "height": 500.0, "count": 5, "drawn": 1.0}
     drawing = track | {"history": [[0.0, 1.0], [0.2, 0.5]], "side": "end"}
-    scene = read_scene(SHEET | {"support": drawing, "motion": {"duration": 0.2, "step": 0.02}})
-    assert scene_at(scene, 0.1).support[0].drawn == pytest.approx(0.75)
-    found = MovingCurtain(scene, default_law()).solve()
-    assert found.status == "converged"
-    held = [frame.problem.supports for frame in found.frames]
+    tables = {"support": drawing, "motion": {"duration": 0.2, "step": 0.02}}
+    assert scene_at(read_scene(SHEET | tables), 0.1).support[0].drawn == pytest.approx(0.75)
+    held = [frame.problem.supports for frame in moved(tables)[0].frames]
     wide = [np.ptp(one.positions[one.mask.any(axis=1), 0]) for one in held]
     assert wide[-1] == pytest.approx(0.5 * wide[0], rel=0.05)
 
