@@ -185,7 +185,8 @@ UNSETTLED = (
 )
 RESTLESS = (
     "wind on the present shape has not settled after {0.rounds} rounds: forces of {0.misfit:.1e} of the load still "
-    "turn, and a sheet that flutters has no rest; take less wind, a heavier bar at its lower edge, or follows = false"
+    "turn, and a sheet that flutters has no rest; take less wind, a heavier bar at its "
+    "lower edge, or a pressure that does not follow"
 )
 INFEASIBLE = (
     "the supports are farther apart than the mesh can stretch: its rings would have to give at least {excess:.3g} % "
