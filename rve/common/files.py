@@ -203,9 +203,8 @@ class Cache:
             return None
         try:
             found = json.loads(Path(self.folder, _file_name(question)).read_bytes())
-            asked, answer, files = found["question"], found["answer"], found["files"]
-            is_whole = found["sha256"] == _digest({"question": asked, "answer": answer, "files": files})
-            is_own = is_whole and _digest(asked) == _digest(question)
+            answer, files = found["answer"], found["files"]
+            is_own = found["sha256"] == _digest({"question": question, "answer": answer, "files": files})
             return answer if is_own and all(checksum(name) == one for name, one in files.items()) else None
         except UNREADABLE:
             return None

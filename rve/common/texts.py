@@ -8,7 +8,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 import os
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -18,6 +17,8 @@ from hashlib import sha256
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import msgspec
 
 from rve.common.errors import InputError, shown
 from rve.common.files import AnyPath
@@ -133,16 +134,8 @@ def json_text(record: Mapping[str, Any], indent: int = 2) -> str:
       ]
     }
     """
-    return json.dumps(_finite(record), indent=indent, allow_nan=False) + "\n"
-
-
-def _finite(value: Any) -> Any:
-    value = value.tolist() if hasattr(value, "tolist") else value  # of numpy, which is not imported for this
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    text = msgspec.json.encode(record, enc_hook=lambda value: value.tolist())  # arrays and numbers of numpy
+    return msgspec.json.format(text, indent=indent).decode() + "\n"
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:

@@ -271,7 +271,7 @@ def test_damaged_and_foreign_files_of_a_cache_are_answered_anew(known_rings, tmp
     assert (found.solves, found.hits) == (1, 0)
     assert file.read_bytes() == good
     record = json.loads(good)
-    file.write_text(json.dumps(record | {"question": record["question"] | {"grain": "x"}}))
+    file.write_text(json.dumps(record | {"answer": record["answer"] | {"unique": False}}))
     assert asked(x, cache).solves == 1
 
 

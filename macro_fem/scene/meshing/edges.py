@@ -163,12 +163,8 @@ def paths(pairs: np.ndarray, points: Array) -> list[Line]:
 def _in_order(mesh: Any, loops: list[Loop], holes: list[Array]) -> list[Loop]:
     """Hole loops in the order of the polygons `holes`, or of their centres."""
     if holes and len(loops) == len(holes):
-        import shapely
-
-        sides = [shapely.LinearRing(hole) for hole in holes]
-        points = [shapely.points(mesh.p[:, loop.nodes].T) for loop in loops]
-        nearest = [int(np.argmin([shapely.distance(at, one).mean() for one in sides])) for at in points]
-        return [loops[k] for k in np.argsort(nearest, kind="stable")]
+        away = [[np.linalg.norm(mesh.p[:, loop.nodes].T - hole[0], axis=1).min() for loop in loops] for hole in holes]
+        return [loops[k] for k in np.argmin(away, axis=1)]
     digits = 1e-6 * float(np.ptp(mesh.p, axis=1).max())
     centres = [tuple(np.round(mesh.p[:, loop.nodes].mean(axis=1) / digits)) for loop in loops]
     return [loops[k] for k in sorted(range(len(loops)), key=centres.__getitem__)]
