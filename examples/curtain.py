@@ -15,7 +15,6 @@ The checked number (tests/test_examples.py): the curtain's mean height lies insi
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from dataclasses import dataclass
@@ -132,12 +131,12 @@ def run(out: Path, setting: Setting = DEFAULT) -> dict[str, object]:
     All files appear in `out` together, at the end.
     """
     require("matplotlib", "plots", "examples/curtain.py")
-    with noted_if_stopped(f"what was in {out} before is unchanged"), job(out, "answer.json") as folder:
+    found: dict[str, object] = {"spacing_degrees": setting.spacing, "cells": setting.cells}
+    with noted_if_stopped(f"what was in {out} before is unchanged"), job(out, "answer.json", found) as folder:
         law = fit_law(make_table(folder, setting.spacing), folder)
         say("3 curtain")
         heights = [hang_curtain(law, folder, cells) for cells in setting.cells]
-        found = {"mean_height_mm": extrapolated(*heights), "spacing_degrees": setting.spacing, "cells": setting.cells}
-        write_text(folder / "answer.json", json.dumps(found) + "\n")
+        found["mean_height_mm"] = extrapolated(*heights)
     say(f"  mean height {found['mean_height_mm']:.2f} mm" + (", extrapolated" if heights[1:] else ""))
     return found
 

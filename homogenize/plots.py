@@ -16,7 +16,7 @@ from homogenize.laws.pictures import locking_surface, solid_axes
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.stored import StoredLaw
 from homogenize.query.strain import locked_strain
-from rve.common import Array, job, json_text, tell, write_text
+from rve.common import Array, job, tell
 from rve.common.drawing.plane import Scale, new_axes, new_figure, rounded_up, save_figure, viridis
 from rve.common.tensor import trace
 
@@ -47,11 +47,10 @@ def write_pictures(law: StoredLaw, table: StrainTable, folder: str | Path, input
         "errors.png": plot_errors(law, rows).figure,
         "sections.png": plot_sections(law, rows).figure,
     }
-    with job(folder, RECORD, inputs) as staged:
+    with job(folder, RECORD, {"law": law.name, "rows": len(rows)}, inputs) as staged:
         for number, (name, figure) in enumerate(figures.items()):
             tell(f"drawing, {name}", number / len(figures))
             save_figure(staged / name, figure)
-        write_text(staged / RECORD, json_text({"law": law.name, "rows": len(rows)}))
     return [folder / name for name in figures]
 
 

@@ -12,7 +12,7 @@ from macro_fem.output.forces import support_rows
 from macro_fem.output.pictures import Pictures
 from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.solvers.status import Status
-from rve.common import as_html, check_out_job, job, require
+from rve.common import as_html, check_out_job, csv_text, job, require, write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,12 +59,15 @@ class Solution(ABC):
         All files appear together, and what they replace is gone. InputError where they cannot be written, or would
         overwrite `inputs`, or if what a picture needs is missing.
         """
-        with job(folder, RECORD, inputs) as staged:
-            return self._write(staged, Pictures(picture, animation, html))
+        summary: dict[str, Any] = {}
+        with job(folder, RECORD, summary, inputs) as staged:
+            summary |= self._write(staged, Pictures(picture, animation, html))
+            write_text(staged / "support_forces.csv", csv_text(*support_rows(summary["support_forces"])))
+        return summary
 
     @abstractmethod
     def _write(self, staged: Path, wanted: Pictures) -> dict[str, Any]:
-        """Write all files into a new folder; the summary. InputError for pictures that make no sense."""
+        """Write what this answer alone has into a new folder; the summary. InputError for pictures without sense."""
 
     @abstractmethod
     def plot(self, ax: Axes | None = None) -> Axes:

@@ -78,7 +78,6 @@ class MembraneSolution(Solution):
             files.write_series(staged, self._shown)
         tell("files and pictures")
         write_pictures(staged, self._shown, wanted)
-        files.write_summary(staged, summary)
         write_text(staged / "order.csv", csv_text(list(summary["order"]), [summary["order"].values()]))
         if self.combinations:
             rows = summary["envelope"]["support_forces"]

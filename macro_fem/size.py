@@ -16,7 +16,7 @@ from macro_fem.scene.schema import Scene
 from macro_fem.scene.shapes import Rectangle
 from macro_fem.scene.tables import Bar, Item, Wind
 from rve import solve_table, with_rings
-from rve.common import InputError, csv_text, job, json_text, part_of, shown, write_text
+from rve.common import InputError, csv_text, job, part_of, shown, write_text
 from rve.common.drawing.plane import new_axes, save_figure
 
 VARIED: dict[str, tuple[str, str, Callable[[Item], bool]]] = {
@@ -68,12 +68,11 @@ class Size:
 
     def save(self, folder: str | Path, *, picture: bool = True) -> dict[str, Any]:
         """Write size.json, size.csv and size.png into `folder`; the record."""
-        with job(folder, "size.json") as staged:
+        with job(folder, "size.json", self.record) as staged:
             rows = self.record["curve"]
             write_text(staged / "size.csv", csv_text(list(rows[0]), (row.values() for row in rows)))
             if picture:
                 _draw(staged / "size.png", self)
-            write_text(staged / "size.json", json_text(self.record))
         return self.record
 
 

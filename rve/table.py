@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common import Array, InputError, Rows, require
-from rve.common.files import AnyPath, Inputs, check_belongs, check_out_file, checksum, sidecar_path, write_text
+from rve.common import Array, InputError, Rows, check_belongs, checksum, json_text, require, sidecar_path, write_text
+from rve.common.files import AnyPath, Inputs, check_out_file
 from rve.common.rings import check_rings
-from rve.common.texts import as_html, csv_text, json_text, number_column, read_columns, read_json_object
+from rve.common.texts import as_html, csv_text, number_column, read_columns, read_json_object
 from rve.geometry.weave import WEAVES
 
 if TYPE_CHECKING:

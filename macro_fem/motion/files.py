@@ -23,7 +23,7 @@ from macro_fem.output.files import collection
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.scene.schema import Scene
-from rve.common import Array, InputError, check_belongs, csv_text, json_text, read_json_object, tell
+from rve.common import Array, InputError, check_belongs, csv_text, read_json_object, tell
 from rve.common.drawing.page import write_moments
 from rve.common.drawing.space import save_animation
 from rve.common.files import atomic_path, job, versions, write_text
@@ -71,12 +71,11 @@ def run_motion(
     table = np.array([*rows, *([*frame.row, *mover.peaks(frame)] for frame in new)])
     shown = chosen((*before[:-1], *run.frames), MOST_SHOWN)
     summary = summarize(mover, run, table) | {"frames": len(shown)}
-    with job(out, RECORD, inputs) as folder:
+    with job(out, RECORD, summary, inputs) as folder:
         write_text(folder / "motion.csv", csv_text(COLUMNS, table[:, : len(COLUMNS)].tolist()))
         _write_frames(folder, mover, shown)
         _write_kept(folder / KEPT, mover, of, shown, table)
         _write_pictures(folder, mover, shown, wanted)
-        write_text(folder / RECORD, json_text(summary))
     return summary
 
 

@@ -35,7 +35,7 @@ from macro_fem.output.files import corner_positions
 from macro_fem.scene.supports import build_supports
 from macro_fem.scene.tables import Bar
 from macro_fem.solution import CurtainSolution
-from rve.common import Array, InputError, NotConverged, job, json_text, versions, write_text
+from rve.common import Array, InputError, NotConverged, job, versions
 from rve.common.drawing.plane import Scale
 from rve.common.drawing.space import THREE_QUARTERS, add, check_render, look, new_plotter, save_picture, surface
 from rve.common.meshes import write_mesh_file
@@ -253,9 +253,8 @@ def run_modes(
         "wall_s": found.wall_s,
         "versions": versions("scikit-fem", "scikit-sparse"),
     }
-    with job(out, RECORD, inputs) as folder:
+    with job(out, RECORD, summary, inputs) as folder:
         write_shapes(folder, modes, picture=picture)
-        write_text(folder / RECORD, json_text(summary))
     return summary
 
 

@@ -1,4 +1,4 @@
-"""Files of a solved curtain: summary.json with bounds and interval, support_forces.csv and curtain.vtu."""
+"""What summary.json says of a solved curtain, with bounds and interval, and curtain.vtu."""
 
 from __future__ import annotations
 
@@ -14,23 +14,17 @@ from macro_fem.drag import wind_summary
 from macro_fem.elastic_forces import forces_by, forces_note
 from macro_fem.fem.cells import counterclockwise, padded
 from macro_fem.output import line_load, strength
-from macro_fem.output.forces import held_length, support_forces, support_rows
+from macro_fem.output.forces import held_length, support_forces
 from macro_fem.output.weakest import weakest
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.tables import Bar, LiveLoad
 from macro_fem.solution import CurtainSolution
-from rve.common import Array, csv_text, json_text, meshes, versions, write_text
+from rve.common import Array, meshes, versions, write_text
 from rve.common.factor import linear_solver
 
 if TYPE_CHECKING:
     from macro_fem.bounds.interval import Level
-
-
-def write_summary(folder: Path, summary: dict[str, Any]) -> None:
-    """summary.json in `folder`, where numbers that are not finite are null, and support_forces.csv beside it."""
-    write_text(folder / "summary.json", json_text(summary))
-    write_text(folder / "support_forces.csv", csv_text(*support_rows(summary["support_forces"])))
 
 
 def summarize(solution: CurtainSolution) -> dict[str, Any]:

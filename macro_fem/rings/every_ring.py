@@ -13,7 +13,6 @@ import numpy as np
 from homogenize import MembraneLaw
 from macro_fem.answer import Solution
 from macro_fem.output.files import rings as rings_of
-from macro_fem.output.files import write_summary
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.ring_scene import RingScene
 from macro_fem.solution import CurtainSolution
@@ -123,7 +122,6 @@ class EveryRingSolution(Solution):
             save_figure(staged / "rings.png", self.plot(new_axes(8.0, 8.0)).figure, dpi=200)
         if wanted.html:
             self.write_html(staged / "rings.html")
-        write_summary(staged, self.summary)
         return self.summary
 
     def plot(self, ax: Axes | None = None) -> Axes:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from macro_fem.fem.cells import padded
 from macro_fem.rings.curtain import Curtain, Sites
 from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestPoses
-from rve.common import Array, Index, as_html, check_out_job, csv_text, job, json_text, versions, write_text
+from rve.common import Array, Index, as_html, check_out_job, csv_text, job, versions, write_text
 from rve.common.drawing.page import check_page, write_page
 from rve.common.drawing.space import check_render, save_picture
 
@@ -178,10 +178,9 @@ class RingField:
         """
         inputs = list(inputs)
         check_outputs(folder, inputs, picture=picture, html=html)
-        with job(folder, RECORD, inputs) as staged:
+        with job(folder, RECORD, self.summary, inputs) as staged:
             self.drawn.write_vtu(staged / "rings.vtu", self.data, tubes=tubes)
             write_text(staged / "worst_cell.csv", self.worst.table())
-            write_text(staged / RECORD, json_text(self.summary))
             if stl:
                 self.drawn.write_stl(staged / "rings.stl")
             if html:

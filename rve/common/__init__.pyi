@@ -13,6 +13,7 @@ from .files import check_out_file as check_out_file
 from .files import check_out_job as check_out_job
 from .files import checksum as checksum
 from .files import job as job
+from .files import json_text as json_text
 from .files import sidecar_path as sidecar_path
 from .files import versions as versions
 from .files import write_text as write_text
@@ -26,7 +27,6 @@ from .records import Index as Index
 from .records import Rows as Rows
 from .texts import as_html as as_html
 from .texts import csv_text as csv_text
-from .texts import json_text as json_text
 from .texts import number_column as number_column
 from .texts import read_columns as read_columns
 from .texts import read_json_object as read_json_object

@@ -1,9 +1,9 @@
 """Files: atomic writes, results of several files, what an output may not overwrite, and answers that are kept.
 
-    with job("out", "summary.json") as folder:   # a hidden folder inside `out`
-        ...                                      # write any files into `folder`, and the record summary.json
+    with job("out", "summary.json", {"status": "converged"}) as folder:   # a hidden folder inside `out`
+        ...                                                               # write any files into `folder`
 
-The record is a JSON file. It gets an entry `files`, the SHA-256 of every other file by name. The files are moved to
+The record is written as JSON with an entry `files`, the SHA-256 of every other file by name. The files are moved to
 their places one by one, the record last. A process that is killed in between leaves the old record, which refuses the
 new files by their checksums (`check_belongs`). The next job removes the files that the old record lists, as far as
 their content is still the listed one. Other files are never removed.
@@ -23,6 +23,8 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from rve.common.errors import InputError
 
@@ -75,6 +77,21 @@ def write_text(path: AnyPath, text: str) -> None:
     """Write a text file, atomically."""
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def json_text(record: Mapping[str, Any], indent: int = 2) -> str:
+    """A record as JSON with a line end: arrays as lists, null for numbers that are not finite.
+
+    >>> print(json_text({"force_N": [1.5, float("nan")]}), end="")
+    {
+      "force_N": [
+        1.5,
+        null
+      ]
+    }
+    """
+    text = msgspec.json.encode(record, enc_hook=lambda value: value.tolist())  # arrays and numbers of numpy
+    return msgspec.json.format(text, indent=indent).decode() + "\n"
 
 
 def checksum(path: AnyPath) -> str:
@@ -132,28 +149,26 @@ def _check_target(target: Path, option: str, inputs: Inputs) -> None:
 
 
 @contextmanager
-def job(folder: AnyPath, record: str, inputs: Inputs = ()) -> Iterator[Path]:
+def job(folder: AnyPath, name: str, record: Record, inputs: Inputs = ()) -> Iterator[Path]:
     """A hidden folder for the files of a result; they take their places in `folder` when the block ends well.
 
-    `folder` is made if need be. `record` is the name of the JSON file that stands for the result; the block must write
-    it. InputError for a folder that cannot be written, and when a new file would overwrite one of `inputs`.
+    `folder` is made if need be. The file `name` stands for the result: it holds the `record`, as it is at the end of
+    the block. InputError for a folder that cannot be written, and when a new file would overwrite one of `inputs`.
     """
     out, inputs = Path(folder), list(inputs)
     with _staging(out, f"--out = {folder}", makes=True) as staged:
         yield staged
         names = [path.relative_to(staged).as_posix() for path in sorted(staged.rglob("*")) if path.is_file()]
-        for name in names:
-            _check_target(out / name, "--out", inputs)
-        names.remove(record)
-        content = json.loads((staged / record).read_text(encoding="utf-8"))
-        content["files"] = {name: checksum(staged / name) for name in names}
-        (staged / record).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-        for name, known in _listed(out, record).items():
-            if name not in names and (out / name).is_file() and checksum(out / name) == known:
-                (out / name).unlink()
-        for name in (*names, record):
-            (out / name).parent.mkdir(parents=True, exist_ok=True)
-            os.replace(staged / name, out / name)
+        for one in (*names, name):
+            _check_target(out / one, "--out", inputs)
+        sums = {one: checksum(staged / one) for one in names}
+        (staged / name).write_text(json_text({**record, "files": sums}), encoding="utf-8")
+        for one, known in _listed(out, name).items():
+            if one not in names and (out / one).is_file() and checksum(out / one) == known:
+                (out / one).unlink()
+        for one in (*names, name):
+            (out / one).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(staged / one, out / one)
 
 
 def _listed(folder: Path, record: str) -> dict[str, str]:

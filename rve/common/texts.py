@@ -1,4 +1,4 @@
-"""JSON, TOML and CSV, read with limits and written the same on every machine; HTML for notebooks.
+"""JSON, TOML and CSV that are read, CSV as text, and HTML for notebooks.
 
 A file that cannot be read is one sentence; what is wrong in a CSV file is told by line and column.
 """
@@ -17,8 +17,6 @@ from hashlib import sha256
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import msgspec
 
 from rve.common.errors import InputError, shown
 from rve.common.files import AnyPath
@@ -121,21 +119,6 @@ def number_column(
         wrong = f"must be from {-most:g} to {most:g}" if np.isfinite(values[bad[0]]) else "is not a finite number"
         raise InputError(f"{path}: line {bad[0] + 2}, column {name}: {shown(texts[bad[0]])} {wrong}")
     return values
-
-
-def json_text(record: Mapping[str, Any], indent: int = 2) -> str:
-    """A record as JSON with a line end: arrays as lists, null for numbers that are not finite.
-
-    >>> print(json_text({"force_N": [1.5, float("nan")]}), end="")
-    {
-      "force_N": [
-        1.5,
-        null
-      ]
-    }
-    """
-    text = msgspec.json.encode(record, enc_hook=lambda value: value.tolist())  # arrays and numbers of numpy
-    return msgspec.json.format(text, indent=indent).decode() + "\n"
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:

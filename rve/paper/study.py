@@ -19,7 +19,6 @@ from rve.common import (
     check_out_job,
     csv_text,
     job,
-    json_text,
     require,
     tell,
     versions,
@@ -161,12 +160,11 @@ def run(
     study = solve_study(alpha, beta, options)
     rows = comparison(study)
     record = {"options": asdict(study.options), "comparison": [list(row) for row in rows], "versions": versions()}
-    with job(out_dir, RECORD) as folder:
+    with job(out_dir, RECORD, record) as folder:
         write_text(folder / "cases.csv", _cases_csv(study))
         for (alpha_deg, beta_deg), case in study.kinked:
             write_text(folder / f"history_{alpha_deg:g}_{beta_deg:g}.csv", _history_csv(study, case))
         write_text(folder / "comparison.md", markdown(rows))
-        write_text(folder / RECORD, json_text(record))
         draw_all(study, Path(folder))
     return study
 

@@ -26,9 +26,8 @@ from typing import Any
 import click
 
 from rve.common.errors import InputError, NotConverged, require
-from rve.common.files import check_out_file
+from rve.common.files import check_out_file, json_text
 from rve.common.progress import shown, tell
-from rve.common.texts import json_text
 
 _ANEW = "no file is left half-written, and the same command begins anew"
 """What a command says that is stopped and has nothing to go on from."""
