@@ -14,7 +14,6 @@ density times as strong, and the factor of a strip is that of its table row.
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -26,6 +25,7 @@ import numpy as np
 from rve.common.commands.command_line import Command
 from rve.common.errors import InputError, require
 from rve.common.files import check_out_job, job, write_text
+from rve.common.texts import csv_text
 
 if TYPE_CHECKING:
     from macro_fem.scene.schema import Scene
@@ -128,13 +128,11 @@ def run(
         click.echo(f"{diameter:g} mm: {said}")
     answer: dict[str, Any] = {"factor": factor, "least_diameter_mm": least_diameter(wires, factor), "r1_mm": r1}
     answer |= {"material": asdict(material), "wires": [asdict(wire) for wire in wires]}
-    with job(out, "wires.json") as folder:
-        lines = [",".join(asdict(wires[0]))]
-        lines += [",".join("" if x is None else str(x) for x in asdict(wire).values()) for wire in wires]
-        write_text(folder / "wires.csv", "\n".join(lines) + "\n")
+    with job(out, "wires.json", answer) as folder:
+        rows = answer["wires"]
+        write_text(folder / "wires.csv", csv_text(list(rows[0]), (row.values() for row in rows)))
         title = f"{scene.source.name}: rings of r1 = {r1:g} mm, {material.name}, {material.yield_N_per_mm2:g} N/mm$^2$"
         draw(wires, factor, title, folder / "wires.png")
-        write_text(folder / "wires.json", json.dumps(answer, indent=1) + "\n")
     return answer
 
 
