@@ -163,7 +163,7 @@ def order(solution: CurtainSolution, summary: dict[str, Any]) -> dict[str, Any]:
     the material where the law does not tell the strength of rings. `hooks` counts the points
     that are held one by one, `hook_pitch_mm` is their distance along the mesh, None where there is no row of them.
     """
-    width, height = np.ptp(solution.problem.mesh.mesh.p, axis=1).tolist()
+    width, height = solution.problem.scene.curtain.extent(solution.problem.mesh.mesh.p.T).tolist()
     single = [one for one in summary["support_forces"] if "largest_force_per_ring_N" in one]
     return {
         "mesh_width_mm": width,

@@ -132,7 +132,8 @@ def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
         marker, dot = ("s", 2) if len(held.facets) else ("v", 5)
         ax.plot(*solution.problem.disc.nodes[held.nodes].T, marker, color="#111111", ms=dot)
     (x0, y0), (x1, y1) = mesh.p.min(axis=1), mesh.p.max(axis=1)
-    size = max(x1 - x0, y1 - y0)
+    width, height = scene.curtain.extent(mesh.p.T).tolist()
+    size = max(width, height)
     off = 0.06 * size
 
     def span(start: Any, end: Any, at: Any, told: str, **style: Any) -> None:
@@ -140,8 +141,8 @@ def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
         ax.text(at[0], at[1], told, va="center", size=8, **style)
 
     middle: dict[str, Any] = {"ha": "center", "backgroundcolor": "white"}
-    span((x0, y0 - off), (x1, y0 - off), (0.5 * (x0 + x1), y0 - off), f"{x1 - x0:g} mm", **middle)
-    span((x1 + off, y0), (x1 + off, y1), (x1 + off, 0.5 * (y0 + y1)), f"{y1 - y0:g} mm", rotation=90, **middle)
+    span((x0, y0 - off), (x1, y0 - off), (0.5 * (x0 + x1), y0 - off), f"{width:g} mm", **middle)
+    span((x1 + off, y0), (x1 + off, y1), (x1 + off, 0.5 * (y0 + y1)), f"{height:g} mm", rotation=90, **middle)
     for row in solution.problem.mesh.hooks.values():
         first, (x, y) = np.add(mesh.p[:, row.nodes[:2]].T, [0.0, 0.6 * off])
         span(first, (x, y), (x + 0.2 * off, y), f"{len(row.nodes)} points, {row.pitch:g} mm apart")

@@ -36,6 +36,10 @@ class Shape(Entry):
         """Corners (n, 2) of the outline in order; a round one has as many as fit `cells` along the width."""
         raise NotImplementedError
 
+    def extent(self, points: Array) -> Array:
+        """Width and height (2,) in mm; `points` (n, 2): corners of its mesh, whose polygon is no exact disk."""
+        return np.asarray(np.ptp(points, axis=0))
+
 
 @dataclass(frozen=True)
 class Rectangle(Shape, kind="rectangle"):
@@ -54,6 +58,9 @@ class Disk(Shape, kind="disk"):
     """A disk around (0, 0)."""
 
     radius: Length
+
+    def extent(self, points: Array) -> Array:
+        return np.full(2, 2.0 * self.radius)
 
     def corners(self, cells: int) -> Array:
         """Corners (n, 2) of a regular polygon with the area of the disk, one at the top."""
