@@ -7,13 +7,10 @@ depends on where ring b is as seen from ring a and on the tilts of both, d = x_b
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import sparse
 
-from rve.common import Array, Flags, Index
-from rve.common.factor import Solve
+from rve.common import Array, Index
 from rve.finite.task import BLOCK
 from rve.finite.touching import Touching
 from rve.finite.walls import wall_derivatives
@@ -45,29 +42,30 @@ def _of_walls(con: Touching, rows: Index) -> tuple[Array, Array]:
     return wall_derivatives(x[ring], normal[ring], x[wall], normal[wall], radius)
 
 
+def rows_of(con: Touching, pair: Index, v: Array) -> sparse.csr_matrix:
+    """Derivatives (k, 5 n) by all unknowns of what has the derivatives v (k, 7) by those of the pairs `pair` (k,)."""
+    a, b, along = BLOCK * con.a[pair, None], BLOCK * con.b[pair, None], np.arange(BLOCK)
+    columns = np.concatenate([a + along, b + along], axis=1)
+    values = np.concatenate([-v[:, :3], v[:, 3:5], v[:, :3], v[:, 5:]], axis=1)
+    first = 2 * BLOCK * np.arange(len(pair) + 1)
+    shape = len(pair), BLOCK * len(con.placed.x)
+    return sparse.csr_matrix((values.ravel(), columns.ravel(), first), shape=shape)
+
+
 def spread(con: Touching, G: Array, force: Array) -> Array:
     """Generalised forces (n, 5) of contact forces (m,): sum of G^T force."""
-    pair, p = con.minima.pair, len(con.key)
-    return on_rings(con, np.stack([np.bincount(pair, G[:, k] * force, p) for k in range(PAIR)], axis=1))
+    return np.asarray(rows_of(con, con.minima.pair, G).T @ force).reshape(-1, BLOCK)
 
 
-def on_rings(con: Touching, w: Array) -> Array:
-    """Generalised forces (n, 5) of those of pairs (p, 7)."""
-    a, b, n = con.a, con.b, len(con.placed.x)
-    ways = [np.bincount(b, w[:, k], n) - np.bincount(a, w[:, k], n) for k in range(3)]
-    tilts = [np.bincount(a, w[:, 3 + k], n) + np.bincount(b, w[:, 5 + k], n) for k in range(2)]
-    return np.stack(ways + tilts, axis=1)
-
-
-def pair_vectors(con: Touching, q: Array) -> Array:
-    """d, theta_a, theta_b (p, 7) of each pair, of q (n, 5)."""
-    a, b = q[con.a], q[con.b]
-    return np.concatenate([b[:, :3] - a[:, :3], a[:, 3:], b[:, 3:]], axis=1)
-
-
-def times(con: Touching, pairs: Array, q: Array) -> Array:
-    """The product (n, 5) of the matrix of blocks (p, 7, 7) with q (n, 5)."""
-    return on_rings(con, np.matmul(pairs, pair_vectors(con, q)[:, :, None])[:, :, 0])
+def block_diagonal(pairs: Array, weight: Array) -> sparse.csr_matrix:
+    """The matrix (k, k) of blocks (p, 7, 7) along its diagonal from the beginning, plus that of weights (k,)."""
+    end, k = PAIR * len(pairs), len(weight)
+    out = pairs.copy()
+    np.einsum("pkk->pk", out)[...] += weight[:end].reshape(-1, PAIR)
+    columns = np.repeat(np.arange(end).reshape(-1, 1, PAIR), PAIR, axis=1)
+    columns = np.append(columns, np.arange(end, k))
+    first = np.append(PAIR * np.arange(end), PAIR * end + np.arange(k - end + 1))
+    return sparse.csr_matrix((np.append(out, weight[end:]), columns, first), shape=(k, k))
 
 
 def blocks(con: Touching, G: Array, stiff: Array, force: Array, idle: Array) -> Array:
@@ -113,85 +111,3 @@ def lacking(pairs: Array) -> Array:
     out = np.zeros_like(pairs)
     out[felt] = np.matmul(vectors * np.maximum(-values, 0.0)[:, None, :], vectors.transpose(0, 2, 1))
     return out
-
-
-@dataclass(frozen=True, eq=False)
-class Pattern:
-    """Where the blocks of pairs go in the matrix of the free unknowns: made once for all factors of a step.
-
-    felt: pairs with a block; free (k,): the free unknowns among 5 n; add: sums blocks of pairs to those of the matrix;
-    take: the entries of these by column; indices, indptr: of the compressed columns; diagonal: its entries among them.
-    tie (k, u): the free unknowns of the u that rings on bars leave, None without bars.
-    """
-
-    felt: Index
-    free: Index
-    add: sparse.csr_matrix
-    take: Index
-    indices: Index
-    indptr: Index
-    diagonal: Index
-    tie: sparse.csr_matrix | None = None
-
-    @classmethod
-    def of(cls, con: Touching, felt: Flags, free: Flags, tie: sparse.csr_matrix | None = None) -> Pattern:
-        """The pattern of the pairs that are `felt` (p,), of unknowns `free` (n, 5)."""
-        n, rows = len(free), np.flatnonzero(felt)
-        a, b = con.a[rows], con.b[rows]
-        first, second = np.concatenate([np.arange(n), a, b]), np.concatenate([np.arange(n), b, a])
-        order = np.lexsort((second, first))
-        place = np.empty(len(order), dtype=np.intp)
-        place[order] = np.arange(len(order))
-        p = len(rows)
-        to = np.stack([place[a], place[n : n + p], place[n + p :], place[b]], axis=1).ravel()
-        add = sparse.csr_matrix((np.ones(4 * p), (to, np.arange(4 * p))), shape=(len(order), 4 * p))
-        indptr = np.concatenate([[0], np.cumsum(np.bincount(first, minlength=n))])
-        entries = np.arange(len(order) * BLOCK**2, dtype=float).reshape(-1, BLOCK, BLOCK)
-        size = BLOCK * n
-        whole = sparse.bsr_matrix((entries, second[order], indptr), shape=(size, size)).tocsr()
-        mask, number = free.ravel(), (np.cumsum(free) - 1).astype(np.int32)
-        column = np.repeat(np.arange(size), np.diff(whole.indptr))
-        keep = mask[column] & mask[whole.indices]
-        count = np.bincount(column[keep], minlength=size)[mask]
-        indices, columns = number[whole.indices[keep]], number[column[keep]]
-        # The matrix is symmetric: its rows are its columns.
-        take, indptr = whole.data[keep].astype(np.intp), np.concatenate([[0], np.cumsum(count)]).astype(np.int32)
-        return cls(rows, np.flatnonzero(mask), add, take, indices, indptr, np.flatnonzero(indices == columns), tie)
-
-    def matrix(self, pairs: Array, soft: Array) -> sparse.csc_matrix:
-        """The symmetric matrix (k, k) of blocks of pairs (p, 7, 7), `soft` (n, 5) on its diagonal; ties applied."""
-        parts = pairs[self.felt].reshape(-1, PAIR * PAIR)[:, _EXPAND] * _SIGN
-        data = (self.add @ parts.reshape(-1, BLOCK * BLOCK)).ravel()[self.take]
-        data[self.diagonal] += soft.ravel()[self.free]
-        k = len(self.free)
-        full = sparse.csc_matrix((data, self.indices, self.indptr), shape=(k, k))
-        if self.tie is None:
-            return full
-        tied = (self.tie.T @ full @ self.tie).tocsc()
-        tied.sort_indices()
-        return tied
-
-    def rings(self, rows: Index) -> Index:
-        """The rings that rows of the matrix belong to."""
-        if self.tie is not None:
-            rows = self.tie[:, rows].nonzero()[0]
-        return np.asarray(self.free[rows] // BLOCK)
-
-    def solver(self, solve: Solve) -> Solve:
-        """A function of right-hand sides (n, 5, ...) that solves for the free unknowns; the others are 0."""
-
-        def solved(push: Array) -> Array:
-            flat = push.reshape(push.shape[0] * BLOCK, *push.shape[2:])
-            out = np.zeros(flat.shape)
-            right = flat[self.free]
-            out[self.free] = solve(right) if self.tie is None else self.tie @ solve(self.tie.T @ right)
-            return out.reshape(push.shape)
-
-        return solved
-
-
-# Entries (100,) of a pair's block (7, 7), with signs, in its four blocks (5, 5) aa, ab, ba, bb of the matrix.
-_PLACE = np.array([[0, 1, 2, 3, 4], [0, 1, 2, 5, 6]])
-_SIGNS = np.array([[-1.0, -1.0, -1.0, 1.0, 1.0], [1.0] * BLOCK])
-_EXPAND = (PAIR * _PLACE[:, None, :, None] + _PLACE[None, :, None, :]).ravel()
-_SIGN = (_SIGNS[:, None, :, None] * _SIGNS[None, :, None, :]).ravel()

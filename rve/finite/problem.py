@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix, eye
+from scipy.sparse import coo_matrix, csr_matrix, identity
 from scipy.sparse.csgraph import connected_components
 
 from rve.common import Array, Flags, InputError
 from rve.finite.layout import FiniteMesh
-from rve.finite.task import FiniteOptions, Task
+from rve.finite.task import BLOCK, FiniteOptions, Task
 from rve.finite.touching import Placed, find_touching
 from rve.finite.walls import HalfSpace, Obstacle, RoundBody
 
@@ -68,20 +68,16 @@ class Problem:
                         f"({x:g}, {y:g}) mm, it would move for ever; hold one of its rings"
                     )
 
-    def _tie(self, free: Flags) -> csr_matrix | None:
-        """Free coordinates (k,) of the u that bars leave: x = (1 - s) x_first + s x_last for the rings between."""
-        if not self.mesh.bars:
-            return None
-        number, k = np.cumsum(free).reshape(free.shape) - 1, int(free.sum())
-        T, between = eye(k, format="lil"), []
+    def _motions(self, free: Flags) -> csr_matrix:
+        """The motions of `Task` for free coordinates (n, 5); on a bar, x = (1 - s) x_first + s x_last."""
+        T, is_own = identity(free.size, format="lil"), free.copy()
         for bar in self.mesh.bars:
+            is_own[bar[1:-1], :3] = False
             for ring, share in zip(bar[1:-1], along(self.mesh.X[bar])[1:-1], strict=True):
-                for axis in np.flatnonzero(free[ring, :3]):
-                    row = number[ring, axis]
-                    T[row, row] = 0.0
-                    T[row, number[bar[0], axis]], T[row, number[bar[-1], axis]] = 1.0 - share, share
-                    between.append(row)
-        return csr_matrix(T)[:, np.setdiff1d(np.arange(k), between)]
+                for axis in range(3):
+                    row, first, last = BLOCK * np.array([ring, bar[0], bar[-1]]) + axis
+                    T[row, row], T[row, first], T[row, last] = 0.0, 1.0 - share, share
+        return csr_matrix(T)[:, np.flatnonzero(is_own)]
 
     def start(self, options: FiniteOptions) -> Placed:
         """The slack weave, as near to the held places as a translation brings it; in space with a disturbance in z.
@@ -124,7 +120,7 @@ class Problem:
         load = float(np.abs(self.force).sum()) if load is None else load
         unit = load * float(np.hypot(*np.ptp(mesh.X, axis=0))) / (len(mesh.linked) * r1)
         loose = np.array([[isinstance(wall, RoundBody)] * 3 for wall in self.walls], dtype=bool).reshape(k, 3)
-        free = np.zeros((n + k, 5), dtype=bool)
+        free = np.zeros((n + k, BLOCK), dtype=bool)
         free[:n], free[n:, :3] = True, loose
         kept = self.held | np.array([False, False, not self.is_space])
         free[:n, :3] = ~kept
@@ -133,8 +129,8 @@ class Problem:
         held = np.concatenate([kept, ~loose])
         guide = np.concatenate([np.broadcast_to(self.guide, (n, 3)) / r1, np.full((k, 3), np.nan)])
         at, size = self.placed(at, at).x, load / unit
-        tie = self._tie(free)
-        return Task(mesh.linked, mesh.cell.wire, force, held, at, free, guide=guide, tie=tie, load=size, unit=unit)
+        motions = self._motions(free)
+        return Task(mesh.linked, mesh.cell.wire, force, held, at, motions, guide=guide, load=size, unit=unit)
 
 
 def along(X: Array) -> Array:

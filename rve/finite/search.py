@@ -6,10 +6,11 @@ such pair are damped against each other and the step is asked for again.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from rve.common import Array, Index
-from rve.finite.equations import spread
 from rve.finite.newton import Iteration, Step
 from rve.finite.touching import Touching, followed_gaps, is_passage_safe, links_intact, of_pairs
 
@@ -25,7 +26,6 @@ def search(now: Iteration, step: Step, *, is_last: bool) -> tuple[Touching | Non
     """The contacts after the longest good part of the step, and the part.
 
     None where more damping was asked for instead."""
-    added = now.added
     with np.errstate(divide="ignore", invalid="ignore"):
         open_ = np.where(step.dgap < 0.0, -_FARTHEST * now.con.gap / step.dgap, 1.0)
     length = min(1.0, float(step.safe.min()), float(open_.min(initial=1.0)))
@@ -37,17 +37,19 @@ def search(now: Iteration, step: Step, *, is_last: bool) -> tuple[Touching | Non
         if why == "gap" and not is_last:
             # More damping for the pairs whose gaps would close; for all where one of them was not near before.
             rows = of_pairs(now.con.key, bad)
+            local, damping = now.state.local.copy(), now.state.damping
             known = rows[rows >= 0]
-            added.local[known] = np.maximum(30.0 * added.local[known], 5.0)
+            local[known] = np.maximum(30.0 * local[known], 5.0)
             if len(known) < len(bad) or not len(bad):
-                added.damping = max(4.0 * added.damping, 1e-2)
+                damping = max(4.0 * damping, 1e-2)
+            now.state = replace(now.state, local=local, damping=damping)
             return None, 0.0
         if why == "rise" and not is_last and length < 0.3:
-            added.damping = max(4.0 * added.damping, 1e-3)
+            now.state = replace(now.state, damping=max(4.0 * now.state.damping, 1e-3))
             return None, 0.0
         length *= 0.5
-    added.local = np.where(step.safe < 0.5, np.maximum(2.0 * added.local, 0.1), 0.4 * added.local)
-    added.local[added.local < 1e-3] = 0.0
+    local = np.where(step.safe < 0.5, np.maximum(2.0 * now.state.local, 0.1), 0.4 * now.state.local)
+    now.state = replace(now.state, local=np.where(local < 1e-3, 0.0, local))
     return new, length
 
 
@@ -70,7 +72,7 @@ def _try_part(now: Iteration, step: Step, length: float) -> tuple[Touching | Non
         last, closed = closed, np.unique(con.key[con.minima.pair[gap < least]])
         if turn and len(closed) >= len(last):
             return None, "gap", closed
-        q = q + step.solve(spread(con, now.G, -step.stiff * np.minimum(gap - forecast, 0.0)))
+        q = q + now.answer(step, -step.stiff * np.minimum(gap - forecast, 0.0))
     else:
         return None, "gap", closed
     found = task.find(placed, con.reach)

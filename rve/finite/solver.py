@@ -74,7 +74,7 @@ def solve_near(task: Task, touching: Touching, force: Array, options: FiniteOpti
 def _state(touching: Touching, force: Array, mu: float, damping: float) -> State:
     """The first iterate, all rings at one mu."""
     none, n = np.zeros(len(touching.key)), len(touching.placed.x)
-    return State(touching, force, np.full(n, mu), damping, none, none, np.full(n, -1.0))
+    return State(touching, force, np.full(n, mu), damping, none, none, 0.0 * force, np.full(n, -1.0))
 
 
 def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Found:
@@ -210,8 +210,7 @@ def kkt(state: State, G: Array, task: Task) -> tuple[float, float]:
     out = spread(con, G, state.force)
     out[:, :3] += task.force
     out += task.springs(con.placed, 0.0)[1]
-    own = out[task.free]
-    unbalanced = np.abs(own if task.tie is None else task.tie.T @ own).sum()
+    unbalanced = np.abs(task.motions.T @ out.ravel()).sum()
     return float(unbalanced / task.load), float((state.force * con.gap).sum() / len(task.linked))
 
 
@@ -228,7 +227,7 @@ def _advance(state: State, task: Task, G: Array, factorize: Factorizer) -> tuple
             break
     record = Record(length, now.trials, now.factors)
     if step is None or new is None:
-        damping = max(10.0 * now.added.damping, 1e-6)
+        damping = max(10.0 * now.state.damping, 1e-6)
         return replace(state, damping=min(damping, 1e9), gain=np.full(len(state.mu), -1.0)), record, False
     is_exact = state.damping < 1e-6 and state.convex.max(initial=0.0) == 0.0 and state.local.max(initial=0.0) < 1e-2
     return _accept(now, new, step, length), record, is_exact and now.failed == 0
@@ -236,15 +235,15 @@ def _advance(state: State, task: Task, G: Array, factorize: Factorizer) -> tuple
 
 def _accept(now: Iteration, new: Touching, step: Step, length: float) -> State:
     """The new iterate with its forces and the damping for the next step."""
-    state, added = now.state, now.added
+    start, state = now.start, now.state
     with np.errstate(divide="ignore", invalid="ignore"):
         longest = np.where(step.dforce < 0.0, -0.99 * state.force / step.dforce, np.inf).min(initial=1.0)
     force = state.force + min(float(longest), length) * step.dforce
-    damping = 0.3 * added.damping if length > 0.3 else added.damping
-    convex = np.where((added.convex > state.convex) | (length <= 0.3), added.convex, 0.3 * added.convex)
+    damping = 0.3 * state.damping if length > 0.3 else state.damping
+    convex = np.where((state.convex > start.convex) | (length <= 0.3), state.convex, 0.3 * state.convex)
     convex[convex < 0.02] = 0.0
     damping = damping if damping > 1e-9 else 0.0
-    end = replace(state, force=force, damping=damping, local=added.local, convex=convex, gain=_gain(now, step)).at(new)
+    end = replace(state, force=force, damping=damping, convex=convex, gain=_gain(now, step)).at(new)
     mu = end.contact_mu
     return replace(end, force=np.clip(end.force, 0.3 * new.central(mu), 1e6 * mu / new.gap))
 

@@ -69,20 +69,19 @@ class RingInertia:
 @dataclass(frozen=True, eq=False)
 class Task:
     """What is solved: linked pairs (m, 2), wire = r2/r1, dead forces (n, 3), held coordinates (n, 3) and their places,
-    free coordinates (n, 5); beside: whether points beside soft minima are constraints too; guide (n, 3): places that
-    pull at the centres while mu is large, nan where none does; load: the sum of the loads, by which residuals are
-    measured; inertia: that of a time step; tie (k, u): the free coordinates of the u that rings on straight bars leave,
-    None without bars; unit: that of forces, in N."""
+    motions (5 n, u): those that are free, rings on straight bars going with the ends of their bar; beside: whether
+    points beside soft minima are constraints too; guide (n, 3): places that pull at the centres while mu is large, nan
+    where none does; load: the sum of the loads, by which residuals are measured; inertia: that of a time step; unit:
+    that of forces, in N."""
 
     linked: Index
     wire: float
     force: Array
     held: NDArray[np.bool_]
     at: Array
-    free: NDArray[np.bool_]
+    motions: sparse.csr_matrix
     beside: bool = True
     guide: Array = field(default_factory=lambda: np.array(np.nan))
-    tie: sparse.csr_matrix | None = None
     load: float = 1.0
     inertia: RingInertia | None = None
     unit: float = 1.0
@@ -133,7 +132,8 @@ class Task:
 class State:
     """An iterate: forces (m,) of contacts; mu (n,) of rings, of which a contact has the greater; damping of all pairs,
     and `local` (p,) of single ones on top of it; convex (p,): which part of the negative curvature of each pair is left
-    out; gain (n,): what the step to it could have gained, by rings, negative where there was none."""
+    out; extra (m,): what contacts are stiffer by in the step from it; gain (n,): what the step to it could have gained,
+    by rings, negative where there was none."""
 
     touching: Touching
     force: Array
@@ -141,6 +141,7 @@ class State:
     damping: float
     local: Array
     convex: Array
+    extra: Array
     gain: Array
 
     @property
@@ -152,7 +153,7 @@ class State:
         """The iterate with other contacts, forces handed on."""
         row = of_pairs(self.touching.key, touching.key)
         local, convex = (np.where(row >= 0, of[row], 0.0) for of in (self.local, self.convex))
-        new = replace(self, touching=touching, local=local, convex=convex)
+        new = replace(self, touching=touching, local=local, convex=convex, extra=np.zeros(len(touching.gap)))
         return replace(new, force=handed_on(self.touching, self.force, touching, new.contact_mu))
 
 

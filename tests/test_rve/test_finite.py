@@ -4,14 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import sparse
 from scipy.optimize import minimize
 
 from benchmarks.every_ring.cell import edge_loaded
 from rve import Cell, FiniteMesh, FiniteOptions, HalfSpace, InputError, cell_of_sides
 from rve.common.factor import Factorizer
 from rve.drawn import ALONG
-from rve.finite.equations import Pattern, blocks, gradients, lacking, pair_vectors, spread, times
-from rve.finite.newton import Factored, Iteration, forces_that_stop
+from rve.finite.equations import METRIC, blocks, gradients, lacking, rows_of, spread
+from rve.finite.newton import Iteration, forces_that_stop
 from rve.finite.task import State, Task
 from rve.finite.touching import Placed, find_touching, followed_gaps, is_passage_safe, links_intact, ways
 from rve.finite.walls import wall_derivatives, wall_gaps
@@ -103,8 +104,9 @@ def test_gradients_and_newton_matrix_are_those_of_differences():
     assert (fore.key == con.key).all()
     assert (fore.count == con.count).all()
     jac = gradients(con)
-    moved = pair_vectors(con, q)[con.minima.pair]
-    rate = (jac * moved).sum(axis=1)
+    moved = (rows_of(con, np.repeat(con.minima.pair, 7), np.tile(np.eye(7), (len(gap), 1))) @ q.ravel()).reshape(-1, 7)
+    rate = rows_of(con, con.minima.pair, jac) @ q.ravel()
+    assert np.allclose(rate, (jac * moved).sum(axis=1))
     assert np.abs(rate - (g1 - g2) / (2 * step))[same].max() < 1e-6
     assert (fore.count == aft.count).all()
     for row in np.flatnonzero(same)[::7]:
@@ -116,61 +118,59 @@ def test_gradients_and_newton_matrix_are_those_of_differences():
         assert v @ -K[con.minima.pair[row]] @ v == pytest.approx(second, abs=1e-3 * (1.0 + abs(second)))
 
 
-def some_matrix():
-    """A mesh's contacts, their gradients (m, 7) and the same on all coordinates (m, n, 5); blocks, which coordinates
-    are free, the dense matrix of these with 0.7 on top of its diagonal, its pattern."""
+def some_iteration():
+    """An iteration in which some coordinates are free and no contact has a force, and its matrix by sums over pairs."""
     mesh, placed, rng = disturbed(2)
     con = find_touching(placed, mesh.linked, 0.1, 0.6)
-    n, m = len(mesh.X), len(con.gap)
-    jac, stiff = gradients(con), rng.uniform(1.0, 2.0, m)
-    whole = np.zeros((m, n, 5))
-    for row, pair in enumerate(con.minima.pair):
-        whole[row, con.a[pair], :3] -= jac[row, :3]
-        whole[row, con.b[pair], :3] += jac[row, :3]
-        whole[row, con.a[pair], 3:] += jac[row, 3:5]
-        whole[row, con.b[pair], 3:] += jac[row, 5:]
-    K = blocks(con, jac, stiff, np.zeros(m), np.zeros(m))
+    (n, m, p), none = (len(mesh.X), len(con.gap), len(con.key)), np.zeros((len(mesh.X), 3))
     free = rng.uniform(size=(n, 5)) > 0.2
-    flat = whole.reshape(m, 5 * n)
-    dense = flat.T @ (stiff[:, None] * flat) + 0.7 * np.eye(5 * n)
-    return con, jac, whole, K, free, dense, rng
+    motions = sparse.identity(5 * n, format="csr")[:, np.flatnonzero(free)]
+    task, mu = Task(mesh.linked, 0.1, rng.standard_normal((n, 3)), none > 0.0, none, motions), np.full(n, 0.01)
+    zero = np.zeros(p), np.zeros(p), np.zeros(m), np.zeros(n)
+    now = Iteration(State(con, np.zeros(m), mu, 0.02, *zero), task, gradients(con), Factorizer("superlu"))
+    whole = np.zeros((p, 7, n, 5))
+    for pair, (a, b) in enumerate(zip(con.a, con.b, strict=True)):
+        whole[pair, [0, 1, 2], a, [0, 1, 2]] = -1.0
+        whole[pair, [0, 1, 2], b, [0, 1, 2]] = 1.0
+        whole[pair, [3, 4], a, [3, 4]] = whole[pair, [5, 6], b, [3, 4]] = 1.0
+    whole = whole.reshape(p, 7, 5 * n)
+    jac = np.einsum("mk,mkx->mx", gradients(con), whole[con.minima.pair])
+
+    def matrix():
+        state, linked = now.state, np.isin(con.key, task.keys)
+        damping = 1e-3 * linked * (state.damping + state.local)
+        found = jac.T @ ((0.01 / con.reach / con.gap + state.extra)[:, None] * jac)
+        found += np.einsum("p,k,pkx,pky->xy", damping, METRIC, whole, whole)
+        found += (1e-10 + 1e-6 * state.damping) * np.eye(5 * n)
+        return found[np.ix_(free.ravel(), free.ravel())]
+
+    return now, matrix, jac, motions, rng
 
 
 def test_matrix_and_products_are_sums_over_pairs():
-    con, jac, whole, K, free, dense, rng = some_matrix()
-    q, force = rng.standard_normal(free.shape), rng.uniform(size=len(jac))
-    assert np.allclose(times(con, K, q).ravel(), dense @ q.ravel() - 0.7 * q.ravel())
-    assert np.allclose(spread(con, jac, force), np.einsum("m,mnk->nk", force, whole))
-    dense = dense[np.ix_(free.ravel(), free.ravel())]
-    pattern = Pattern.of(con, con.count > 0, free)
-    found = pattern.matrix(K, np.full(free.shape, 0.7))
-    assert np.allclose(found.toarray(), dense)
-    solved = pattern.solver(Factorizer("superlu")(found))(q)
-    assert np.allclose(dense @ solved[free], q[free])
-    assert not solved[~free].any()
-    assert len(Factorizer("superlu")(pattern.matrix(K, np.full(free.shape, -3.0)))) > 1
+    now, matrix, jac, motions, rng = some_iteration()
+    force, x = rng.uniform(size=len(jac)), rng.standard_normal(motions.shape[1])
+    step = now.step()
+    assert np.allclose(matrix() @ step.solve(x), x)
+    assert np.allclose(spread(now.con, gradients(now.con), force).ravel(), jac.T @ force)
+    assert np.allclose(matrix() @ (motions.T @ now.answer(step, force).ravel()), motions.T @ (jac.T @ force))
+    assert np.allclose(matrix() @ (motions.T @ step.q.ravel()), now.push)
+    assert np.allclose(step.dgap, jac @ step.q.ravel())
+    assert not step.q.ravel()[np.diff(motions.indptr) == 0].any()
 
 
 def test_a_factor_serves_for_stiffer_contacts_and_pairs():
-    con, jac, whole, K, free, dense, rng = some_matrix()
-    m, q = len(jac), rng.standard_normal(free.shape)
-    rows, tight, weight = rng.choice(m, 4, replace=False), int(rng.integers(len(con.a))), rng.uniform(1.0, 90.0, 5)
-    turn = np.zeros((1, *free.shape))
-    turn[0, con.a[tight], 3] = 1.0
-    added = np.concatenate([whole[rows], turn]).reshape(5, -1)
-    dense = np.where(np.outer(free, free), dense, 0.0) + np.diag(~free.ravel())
-    wanted = np.linalg.solve(
-        dense + np.where(free.ravel(), added, 0.0).T @ (weight[:, None] * np.where(free.ravel(), added, 0.0)),
-        np.where(free, q, 0.0).ravel(),
-    )
-    pattern = Pattern.of(con, con.count > 0, free)
-    solve = pattern.solver(Factorizer("superlu")(pattern.matrix(K, np.full(free.shape, 0.7))))
-    factored = Factored(solve, con, jac)
-    names = np.append(rows, m + 7 * tight + 3)
-    assert factored.stiffened(names[:0], weight[:0]) is solve
-    first = factored.stiffened(names[:2], weight[:2])(q)
-    assert np.allclose(factored.stiffened(names[1::-1], weight[1::-1])(q), first)
-    assert np.allclose(factored.stiffened(names, weight)(q).ravel(), wanted)
+    now, matrix, jac, motions, rng = some_iteration()
+    now.step()
+    factors, x = now.factors, rng.standard_normal(motions.shape[1])
+    tight = np.flatnonzero(np.isin(now.con.key, now.task.keys))[:2]
+    for count in (0, 4, 2):
+        extra, local = now.state.extra.copy(), now.state.local.copy()
+        extra[rng.choice(len(jac), count, replace=False)] += rng.uniform(1.0, 90.0, count)
+        local[tight[: count // 2]] += 5.0
+        now.state = replace(now.state, extra=extra, local=local)
+        assert np.allclose(matrix() @ now.step().solve(x), x)
+    assert now.factors == factors
 
 
 def test_forces_that_stop_are_those_of_a_complementarity_problem():
@@ -582,8 +582,8 @@ def test_the_right_hand_side_is_the_slope_of_the_barrier_function_where_each_rin
     n = len(mesh.X)
     guide = np.where(rng.uniform(size=(n, 3)) > 0.3, placed.x + rng.standard_normal((n, 3)), np.nan)
     none = np.zeros((n, 3), dtype=bool)
-    free = np.ones((n, 5), dtype=bool)
-    task = Task(mesh.linked, 0.1, rng.standard_normal((n, 3)), none, placed.x, free, beside=False, guide=guide)
+    motions = sparse.identity(5 * n, format="csr")
+    task = Task(mesh.linked, 0.1, rng.standard_normal((n, 3)), none, placed.x, motions, beside=False, guide=guide)
     q, mu, step = rng.standard_normal((n, 5)), rng.uniform(0.001, 0.03, n), 1e-6
 
     def at(t):
@@ -593,9 +593,10 @@ def test_the_right_hand_side_is_the_slope_of_the_barrier_function_where_each_rin
     con, _ = at(0.0)
     (fore, above), (aft, below) = at(step), at(-step)
     assert (fore.count == aft.count).all()
-    state = State(con, np.zeros(len(con.gap)), mu, 0.0, *np.zeros((2, len(con.key))), np.zeros(n))
+    zero = np.zeros(len(con.gap))
+    state = State(con, zero, mu, 0.0, *np.zeros((2, len(con.key))), zero, np.zeros(n))
     assert (state.contact_mu == np.maximum(mu[con.a], mu[con.b])[con.minima.pair]).all()
-    slope = -(Iteration(state, task, gradients(con), Factorizer()).rhs * q).sum()
+    slope = -float(Iteration(state, task, gradients(con), Factorizer()).push @ q.ravel())
     assert (above - below) / (2 * step) == pytest.approx(slope, rel=1e-6)
     for small in np.outer((1e-9, 5e-4), np.ones(n)):
         assert task.barrier(con, small) == replace(task, guide=np.array(np.nan)).barrier(con, small)
