@@ -66,13 +66,14 @@ class Iteration:
     stiff (m,): stiffness of contacts; push (u,): right-hand side; barrier: its function here; is_moving: whether held
     rings are on their way; trials, factors, failed: counts.
 
-    The matrix for the u motions of the task is R^T (blocks + weights) R. R (7 f + m + 5 n, u) leads from them to the
-    coordinates of the f pairs that are felt, whose blocks come first, to the gaps and to all unknowns.
+    The matrix for the u motions of the task is S^T (blocks + weights) S. S (7 f + 5 n, u) leads from motions to the
+    coordinates of the f pairs that are felt and to all unknowns; R to the m gaps as well, whose extra stiffness is one
+    of pairs.
     """
 
     def __init__(self, state: State, task: Task, G: Array, factorize: Factorizer) -> None:
         con, mu, most = state.touching, state.contact_mu, float(state.mu.max())
-        self.start, self.state, self.task, self.con, self._factorize = state, state, task, con, factorize
+        self.start, self.state, self.task, self.con, self._G, self._factorize = state, state, task, con, G, factorize
         self.stiff = (state.force + mu / con.reach) / con.gap
         self._blocks = blocks(con, G, self.stiff, state.force, _IDLE * mu)
         self._lacking = np.full_like(self._blocks, np.nan)
@@ -86,12 +87,11 @@ class Iteration:
         self.barrier = task.barrier(con, state.mu)
         self._felt = np.flatnonzero((con.count > 0) | (self._heavy > 0.0))  # the others stay out of the matrix
         unit, pair = np.tile(np.eye(PAIR), (len(self._felt), 1)), np.repeat(self._felt, PAIR)
-        rows = rows_of(con, np.append(pair, con.minima.pair), np.concatenate([unit, G]))
-        rows.eliminate_zeros()
-        self._gaps = slice(len(unit), len(unit) + len(G))
-        self._R = sparse.vstack([rows @ task.motions, task.motions], "csr")
-        self._R_T, self._R_gaps = self._R.T.tocsr(), self._R[self._gaps]
-        self._moved = np.append(rows @ self._held.ravel(), self._held)
+        pairs, gaps = rows_of(con, pair, unit), rows_of(con, con.minima.pair, G)
+        pairs.eliminate_zeros()
+        self._S, self._R_gaps = sparse.vstack([pairs @ task.motions, task.motions], "csr"), gaps @ task.motions
+        self._S_T, self._R = self._S.T.tocsr(), sparse.vstack([self._S, self._R_gaps], "csr")
+        self._moved, self._closed = np.append(pairs @ self._held.ravel(), self._held), gaps @ self._held.ravel()
         _, pull, self._soft = task.springs(con.placed, most)
         pull[:, :3] += task.force
         self.push = self._R_gaps.T @ (mu * (1.0 / con.gap - 1.0 / con.reach)) + task.motions.T @ pull.ravel()
@@ -114,7 +114,7 @@ class Iteration:
                 continue
             y = solve(push)
             q = self._held + (self.task.motions @ y).reshape(self._held.shape)
-            dgap = self._R_gaps @ y + self._moved[self._gaps]
+            dgap = self._R_gaps @ y + self._closed
             safe = safe_parts(con, q)
             if self._turns >= _TURNS or not self._is_short(safe, dgap):
                 break
@@ -137,9 +137,9 @@ class Iteration:
             rows = np.flatnonzero(added)
             if len(rows) <= _RANK:
                 return self._stiffened(rows, added[rows]), self.push
-        stiff = block_diagonal(self._curved(), weight)
-        push = self.push - self._R_T @ (stiff @ self._moved)
-        factor = self._factorize((self._R_T @ (stiff @ self._R)).tocsc())
+        stiff = block_diagonal(self._pairs(), weight[: len(self._moved)])
+        push = self.push - self._S_T @ (stiff @ self._moved)
+        factor = self._factorize((self._S_T @ (stiff @ self._S)).tocsc())
         self.factors += 1
         if not callable(factor):
             self.failed += 1
@@ -170,19 +170,21 @@ class Iteration:
         return solved
 
     def _weights(self, state: State) -> Array:
-        """The weights (7 f + m + 5 n,) of the rows of R."""
+        """The weights (7 f + 5 n + m,) of the rows of R."""
         damped = np.outer((self._heavy * (state.damping + state.local))[self._felt], METRIC)
         soft = self._soft.ravel() + _SOFT + 1e-6 * state.damping
-        return np.concatenate([damped.ravel(), state.extra, soft])
+        return np.concatenate([damped.ravel(), soft, state.extra])
 
-    def _curved(self) -> Array:
-        """Blocks (f, 7, 7) of the matrix with a part of their negative curvature left out."""
-        convex = self.state.convex
-        new = np.flatnonzero((convex > 0.0) & np.isnan(self._lacking[:, 0, 0]))
-        self._lacking[new] = lacking(self._blocks[new])
+    def _pairs(self) -> Array:
+        """Blocks (f, 7, 7) of the matrix with the extra stiffness, and a part of their negative curvature left out."""
+        convex, extra, out = self.state.convex, self.state.extra, self._blocks.copy()
         rows = np.flatnonzero(convex)
-        out = self._blocks.copy()
+        new = rows[np.isnan(self._lacking[rows, 0, 0])]
+        self._lacking[new] = lacking(self._blocks[new])
         out[rows] += convex[rows, None, None] * self._lacking[rows]
+        rows = np.flatnonzero(extra)
+        G = self._G[rows]
+        np.add.at(out, self.con.minima.pair[rows], extra[rows, None, None] * G[:, :, None] * G[:, None, :])
         return out[self._felt]
 
     def _convexify(self, rings: Index) -> None:
@@ -238,7 +240,7 @@ class Iteration:
     def _stop(self, contacts: Index) -> None:
         """Stiffen contacts (k,) just so much that the step closes no more than a part of their gaps."""
         room, extra = _CLOSED * self.con.gap[contacts], self._last.extra.copy()
-        R, Y = self._R_gaps[contacts], self._columns(self._gaps.start + contacts)
+        R, Y = self._R_gaps[contacts], self._columns(len(self._moved) + contacts)
         extra[contacts] += forces_that_stop(R @ Y, -room - R @ self._factor(self.push)) / room
         self.state = replace(self.state, extra=extra)
 
