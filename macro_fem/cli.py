@@ -13,6 +13,7 @@ from rve.common import (
     check_out_file,
     check_out_job,
     json_text,
+    numbers_of,
     read_json_object,
     require,
     write_text,
@@ -281,10 +282,11 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: str, out: Pa
 @click.option("--stl", is_flag=True, help="Write rings.stl, tori for CAD and printing.")
 def localize(curtain: Path, out: Path, window: str | None, max_rings: int, **files: bool) -> None:
     """Every ring of CURTAIN, the folder of a run: rings.vtu, rings.png, worst_cell.csv, localize.json."""
-    from macro_fem.rings.localize import LocalizeOptions, parse_window, run_localize
+    from macro_fem.rings.localize import LocalizeOptions, run_localize
     from macro_fem.told import ring_field_lines
 
-    found = run_localize(curtain, out, LocalizeOptions(parse_window(window), max_rings), **files)
+    ends: Any = None if window is None else numbers_of(window, "--window", "x0,y0,x1,y1")
+    found = run_localize(curtain, out, LocalizeOptions(ends, max_rings), **files)
     say(*ring_field_lines(found, out))
     answer(found)
     words = ["--out", f"{out}_tubes", *([] if window is None else ["--window", window])]

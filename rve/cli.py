@@ -12,13 +12,12 @@ from typing import Any
 
 import click
 
-from rve.common import SENTENCES, InputError, NotConverged, read_json_object, sidecar_path, tell
+from rve.common import SENTENCES, InputError, NotConverged, numbers_of, read_json_object, sidecar_path, tell
 from rve.common.commands.command_line import (
     Group,
     answer,
     check_plot,
     feature_lines,
-    numbers_of,
     options,
     parse_load,
     say,

@@ -19,10 +19,10 @@ from homogenize.io import DEFAULT_LAW, default_law, load_law
 from homogenize.laws.cloth import ClothLaw
 from homogenize.laws.net import ring_net
 from macro_fem.rings.curtain import read_curtain
-from macro_fem.rings.localize import parse_window
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import load_scene
 from rve.common.errors import InputError
+from rve.common.texts import numbers_of
 from rve.directions import parse_angles, read_loads
 from rve.geometry.cell import Cell
 from rve.solve import solve_table
@@ -92,7 +92,7 @@ def read_options(folder):
     """The values of --alpha and --window."""
     first, _, second = (folder / "options.txt").read_bytes().decode("utf-8", "surrogateescape").partition(" ")
     parse_angles(first, "--alpha")
-    parse_window(second)
+    numbers_of(second, "--window", "x0,y0,x1,y1")
 
 
 def read_curtain_files(folder):

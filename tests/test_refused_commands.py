@@ -45,7 +45,7 @@ homogenize strain cloth.json --alpha 10 --beta 45 -> kind = cloth: the law has n
 homogenize support law.json --S 1,x,0 -> 1,x,0
 homogenize support nowhere.json --S 1,0,0 -> nowhere.json: cannot be read
 homogenize strength law.json --S 1,2,1 -> not tensile
-homogenize strength law.json --S 1,nan,1 -> three finite numbers
+homogenize strength law.json --S 1,nan,1 -> give finite numbers S11,S12,S22
 homogenize strength law.json --S 1e308,0,1e308 -> at most 1e+100
 homogenize strength law.json --S 1,0,1 --yield -4 -> --yield = -4.0: expected float > 0
 homogenize strength cloth.json --S 1,0,1 -> strength

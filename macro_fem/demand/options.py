@@ -9,7 +9,7 @@ from typing import Any
 
 from homogenize import LawInterval, interval_of_table, read_law_interval
 from rve import Cell
-from rve.common import InputError, shown
+from rve.common import InputError, numbers_of
 from rve.common.rings import check_ring_size
 
 ACCURACY, LEAST_ACCURACY, MOST_ACCURACY = 5e-3, 1e-5, 0.5
@@ -69,22 +69,10 @@ def ring_options(
         return None
     if "cache" in told and "no_cache" in told:
         raise InputError("--cache and --no-cache contradict each other: give one")
-    cell = Cell(*radii(rings), told.get("weave", "4-in-1"), told.get("grain", "y"))
+    r1, r2 = numbers_of(rings, "--rings", "R1,R2")
+    check_ring_size(r1, "--rings: r1")
+    cell = Cell(r1, r2, told.get("weave", "4-in-1"), told.get("grain", "y"))
     base = os.environ.get("XDG_CACHE_HOME", "")
     kept = (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "ring-mesh"
     folder = None if "no_cache" in told else told.get("cache", kept)
     return OnDemand(cell, told.get("accuracy", ACCURACY), law if table is None else table, folder)
-
-
-def radii(text: str) -> tuple[float, float]:
-    """The radii r1, r2 in mm in "r1,r2"; InputError if these are not two numbers.
-
-    >>> radii("5,0.5")
-    (5.0, 0.5)
-    """
-    try:
-        r1, r2 = (float(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"--rings = {shown(text)}: write the radii of ring and wire in mm, such as 5,0.5") from None
-    check_ring_size(r1, "--rings: r1")
-    return r1, r2

@@ -36,7 +36,7 @@ from rve import (
     offsets,
     reference_shares,
 )
-from rve.common import Array, Index, InputError, Typed, shown, tell
+from rve.common import Array, Index, InputError, Typed, tell
 
 NARROW = 1e-3
 """A triangle drawn together to less than this part of its length takes its normal from its neighbours."""
@@ -59,21 +59,6 @@ class LocalizeOptions(Typed):
         ends = self.window
         if ends is not None and not (np.isfinite(ends).all() and ends[0] < ends[2] and ends[1] < ends[3]):
             self.refuse(f"window = {ends}: must be x0, y0, x1, y1 in mm with x0 < x1 and y0 < y1")
-
-
-def parse_window(text: str | None) -> tuple[float, float, float, float] | None:
-    """A window from "x0,y0,x1,y1" in mm, or None for None; InputError for other texts.
-
-    >>> parse_window("0,0,50,80.5")
-    (0.0, 0.0, 50.0, 80.5)
-    """
-    if text is None:
-        return None
-    try:
-        x0, y0, x1, y1 = (float(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"--window = {shown(text)}: write x0,y0,x1,y1 in mm") from None
-    return x0, y0, x1, y1
 
 
 def localize(curtain: Curtain | str | Path, options: LocalizeOptions | None = None) -> RingField:

@@ -28,6 +28,7 @@ from .records import Rows as Rows
 from .texts import as_html as as_html
 from .texts import csv_text as csv_text
 from .texts import number_column as number_column
+from .texts import numbers_of as numbers_of
 from .texts import read_columns as read_columns
 from .texts import read_json_object as read_json_object
 from .texts import read_toml as read_toml

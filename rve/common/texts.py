@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 MOST_BYTES = 500_000_000
 """Of a file that is read."""
+LARGEST = 1e100
+"""Numbers that are typed: their squares must be numbers, too."""
 
 _reads: ContextVar[dict[str, str] | None] = ContextVar("reads", default=None)
 
@@ -118,6 +120,23 @@ def number_column(
     if len(bad):
         wrong = f"must be from {-most:g} to {most:g}" if np.isfinite(values[bad[0]]) else "is not a finite number"
         raise InputError(f"{path}: line {bad[0] + 2}, column {name}: {shown(texts[bad[0]])} {wrong}")
+    return values
+
+
+def numbers_of(text: str, option: str, form: str = "") -> list[float]:
+    """Numbers with commas between them, as many as `form` has names; InputError for others.
+
+    >>> numbers_of("5,0.5", "--rings", "R1,R2")
+    [5.0, 0.5]
+    """
+    try:
+        values = [float(one) for one in text.split(",")]
+    except ValueError:
+        values = []
+    is_complete = len(values) == form.count(",") + 1 if form else bool(values)
+    if not (is_complete and all(abs(one) <= LARGEST for one in values)):
+        what = form or "with commas between them"
+        raise InputError(f"{option} = {shown(text)}: give finite numbers {what}, at most {LARGEST:g} in size")
     return values
 
 

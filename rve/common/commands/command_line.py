@@ -28,10 +28,10 @@ import click
 from rve.common.errors import InputError, NotConverged, require
 from rve.common.files import check_out_file, json_text
 from rve.common.progress import shown, tell
+from rve.common.texts import numbers_of
 
 _ANEW = "no file is left half-written, and the same command begins anew"
 """What a command says that is stopped and has nothing to go on from."""
-LARGEST_LOAD = 1e100
 _COMMON = {
     "quiet": "Show no progress and print no sentences; errors, and answers that are asked for, stay.",
     "json": "Print the record of the run as one JSON object instead of sentences.",
@@ -166,22 +166,11 @@ def options(*added: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return decorate
 
 
-def numbers_of(text: str, option: str) -> list[float]:
-    """Numbers with commas between them; InputError for others."""
-    try:
-        return [float(one) for one in text.split(",")]
-    except ValueError as error:
-        raise InputError(f"{option} = {text!r}: is not a list of numbers with commas between them") from error
-
-
 def parse_load(text: str) -> Any:
-    """The line load (3,) of --S "S11,S12,S22"; InputError unless it is three numbers whose squares are numbers, too."""
+    """The line load (3,) of --S "S11,S12,S22"; InputError unless it is three numbers."""
     import numpy as np
 
-    S = np.array(numbers_of(text, "--S"))
-    if len(S) != 3 or not (np.abs(S) <= LARGEST_LOAD).all():
-        raise InputError(f"--S = {text!r}: give three finite numbers S11,S12,S22, at most {LARGEST_LOAD:g} in size")
-    return S
+    return np.array(numbers_of(text, "--S", "S11,S12,S22"))
 
 
 def check_plot(path: Path, inputs: Iterable[Path | None] = ()) -> None:
