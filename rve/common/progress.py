@@ -53,17 +53,14 @@ def part_of(work: str, begin: float | None = None, end: float | None = None) -> 
     >>> heard
     [('64 cells, load step 2 of 2', 0.5), ('64 cells, load step 2 of 2, iteration 7', 0.75)]
     """
-    listener = _listener.get()
-    if listener is None:
-        yield
-        return
-    outer = listener
+    outer = _listener.get()
 
     def of_part(inner: str, share: float | None) -> None:
         known = None if begin is None or end is None else begin + (end - begin) * (share or 0.0)
-        outer(f"{work}, {inner}" if inner else "", known)
+        if outer is not None:
+            outer(f"{work}, {inner}" if inner else "", known)
 
-    outer(work, begin)
+    tell(work, begin)
     with heard_by(of_part):
         yield
 
