@@ -8,16 +8,7 @@ from typing import Any
 
 import click
 
-from rve.common import (
-    InputError,
-    check_out_file,
-    check_out_job,
-    json_text,
-    numbers_of,
-    read_json_object,
-    require,
-    write_text,
-)
+from rve.common import InputError, check_out_file, check_out_job, json_text, numbers_of, read_json_object, write_text
 from rve.common.commands.command_line import Group, answer, options, say, say_next
 from rve.common.commands.sweeps import SweepItem, further_options, run_sweep, sweep_options
 
@@ -131,13 +122,13 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
     """
     from homogenize import interval_or_law
     from macro_fem.demand.options import ring_options
+    from macro_fem.output.pictures import Pictures
     from macro_fem.scene.schema import load_scene
     from macro_fem.size import largest_that_holds
 
     if out is not None:
         check_out_job(out, "size.json", inputs=[scene, law_path])
-        if picture:
-            require("matplotlib", "plots", "size.png", "ask for --no-picture")
+        Pictures(picture, stem="size").check()
     on_demand = ring_options(rings, law_path)
     law = interval_or_law(law_path) if law_path is not None and on_demand is None else None
     ends = asked["low"], asked["high"]

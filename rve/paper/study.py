@@ -12,18 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rve.common import (
-    AnyPath,
-    Array,
-    Index,
-    check_out_job,
-    csv_text,
-    job,
-    require,
-    tell,
-    versions,
-    write_text,
-)
+from rve.common import AnyPath, Array, Index, check_out_job, csv_text, job, require, tell, versions, write_text
 from rve.common.drawing.plane import BLUE, GREEN, VERMILION, new_axes, new_figure, save_figure, viridis
 from rve.directions import grid
 from rve.equilibrium.system import Equations
