@@ -21,7 +21,7 @@ from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.schema import Scene
-from rve import FiniteOptions, FiniteSolution, RoundBody, ring_places, slack_rings, step_rings, with_bodies
+from rve import FiniteOptions, FiniteSolution, HalfSpace, RoundBody, ring_places, slack_rings, step_rings, with_bodies
 from rve.common import Array, InputError, NotConverged
 from rve.common.drawing.plane import new_figure, save_figure
 from rve.common.drawing.space import new_plotter
@@ -144,7 +144,9 @@ class MovingRings(Mover[RingFrame, RingScene]):
             force += own - (block @ now.v[:n, :, None])[:, :, 0] - (0.0 if wind.speed == 0.0 else blown)
         end = step_rings(frame.rings, weight, aim, force, asked.held, asked.at, walls=(*asked.walls, *self.bodies))
         rings = end.rings
-        if rings.status != "converged":
+        if rings.status == "converged":
+            self._check_balls(rings, now.t + h)
+        else:
             if not halvings:
                 raise Failed(
                     "infeasible" if rings.way_left_mm > 0.0 else "stalled",
@@ -166,6 +168,20 @@ class MovingRings(Mover[RingFrame, RingScene]):
         return RingFrame(
             moment=moment, account=account, rebound=back, iterations=rings.iterations, rings=rings, asked=asked
         )
+
+    def _check_balls(self, rings: FiniteSolution, t: float) -> None:
+        """Failed where a ball would meet what balls beside a curtain by a law meet, and those beside rings do not."""
+        balls = [wall for wall in rings.walls if isinstance(wall, RoundBody)]
+        reach = [(1.0 - NEAR) * ball.radius for ball in balls]
+        for k, ball in enumerate(balls):
+            meets = [
+                w.name for w in rings.walls if isinstance(w, HalfSpace) and w.unit @ ball.place - w.offset < reach[k]
+            ]
+            away = [float(np.linalg.norm(np.subtract(one.place, ball.place))) for one in balls[:k]]
+            meets += [one.name for one, d in zip(balls, away, strict=False) if d - one.radius < reach[k]]
+            for name in meets:
+                words = f"{ball.name} meets {name} before {t:.6g} s"
+                raise Failed("stalled", f"{words}: beside rings balls meet rings alone; end there, or ask a law")
 
     def peaks(self, frame: RingFrame) -> list[float]:
         """The largest contact force in N, the least gap in mm, whether links are intact, iterations."""
