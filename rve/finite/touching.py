@@ -195,19 +195,10 @@ def followed_gaps(old: Touching, placed: Placed) -> Array:
 
 def nearest(old: Touching, new: Touching) -> Index:
     """For each contact of `old` (m,) the nearest one of the same pair in `new`, -1 where there is none."""
-    row = of_pairs(new.key, old.key)
-    count = np.where(row >= 0, new.count[row], 0)
-    first = np.concatenate([[0], np.cumsum(new.count)])[row]
-    pair = old.minima.pair
-    repeat = count[pair]
-    mine = np.repeat(np.arange(len(pair)), repeat)
-    other = first[pair[mine]] + np.arange(len(mine)) - np.repeat(np.cumsum(repeat) - repeat, repeat)
-    between = new.minima.rho_a[other] - old.minima.rho_a[mine]
-    order = np.lexsort((dot(between, between), mine))
-    best = order[np.diff(mine[order], prepend=-1) > 0]
-    out = np.full(len(pair), -1)
-    out[mine[best]] = other[best]
-    return out
+    # In space with the key as a coordinate contacts of other pairs are far away: those of a pair are within 2.
+    old_at, new_at = (np.column_stack([9.0 * con.key[con.minima.pair], con.minima.rho_a]) for con in (old, new))
+    distance, row = cKDTree(new_at).query(old_at, distance_upper_bound=3.0)
+    return np.where(np.isfinite(distance), row, -1)
 
 
 def links_intact(con: Touching, linked_keys: Index) -> bool:

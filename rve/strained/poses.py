@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from rve.common import Array, Flags, NotConverged, Rows, part_of
 from rve.common.tensor import WEIGHT, eigenvalues
+from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.system import Equations, add_lattice_curvature
 from rve.geometry.cell import Cell, weave_sides
@@ -184,12 +185,10 @@ class Spring:
     def __call__(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
         """The `rve.equilibrium.system.Force`."""
         n, k = pose.normals.shape[:2]
-        f, J = np.zeros((n, T.shape[2])), np.zeros((n, T.shape[2], T.shape[2]))
-        E, dE, ddE = lattice_strain(pose.lattice, self.sides)
+        E, dE = lattice_strain(pose.lattice, self.sides)
         g, H = split_response(E - s[:, :3], self.fold)
-        f[:, :3] -= np.einsum("ni,nix->nx", WEIGHT * g, dE)
-        stiffness = np.matmul(np.matmul(dE.transpose(0, 2, 1), WEIGHT[:, None] * H), dE)
-        J[:, :3, :3] -= stiffness + np.einsum("ni,nixy->nxy", WEIGHT * g, ddE)
+        f, J = DeadLoad(self.sides)(pose, T, -g / np.prod(self.sides))
+        J[:, :3, :3] -= np.matmul(np.matmul(dE.transpose(0, 2, 1), WEIGHT[:, None] * H), dE)
         for ring in range(k - 1):
             i, j = s[:, 3 + 2 * ring, None], s[:, 4 + 2 * ring, None]
             delta = pose.centres[:, ring + 1] - i * pose.a1 - j * pose.a2
