@@ -32,12 +32,13 @@ from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
 from macro_fem.fem.discretization import ELEMENTS
 from macro_fem.motion.stage import TONNE, masses_of, mesh_masses, pushed_points, scene_at
 from macro_fem.output.files import corner_positions
+from macro_fem.output.pictures import Pictures
 from macro_fem.scene.supports import build_supports
 from macro_fem.scene.tables import Bar
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError, NotConverged, job, versions
 from rve.common.drawing.plane import Scale
-from rve.common.drawing.space import THREE_QUARTERS, add, check_render, look, new_plotter, save_picture, surface
+from rve.common.drawing.space import THREE_QUARTERS, add, look, new_plotter, save_picture, surface
 from rve.common.meshes import write_mesh_file
 
 CARRIES = 1e-6
@@ -238,8 +239,7 @@ def run_modes(
     Line loads are those of elastic rings where rigid ones leave them open. InputError in one sentence for what cannot
     be read or told, NotConverged where the curtain at rest is none.
     """
-    if picture:
-        check_render("modes.png", "ask for --no-picture")
+    Pictures(picture, stem="modes").check(in_space=True)
     scene, law, inputs = read_job(scene_path, law_path, out, RECORD)
     found = with_forces(solve_scene(scene if scene.motion is None else scene_at(scene, 0.0), law))
     modes, problem = find_modes(found, number), found.problem

@@ -43,14 +43,14 @@ class Pictures:
     dxf: Path | None = None
     stem: str = "curtain"
 
-    def check(self, scene: Scene | None = None, inputs: Sequence[Path | None] = ()) -> None:
+    def check(self, scene: Scene | None = None, inputs: Sequence[Path | None] = (), *, in_space: bool = False) -> None:
         """InputError, before anything is solved, for a package that is missing, a file that cannot be written or would
-        overwrite one of `inputs`, and what makes no sense in this scene."""
+        overwrite one of `inputs`, and what makes no sense in this scene. in_space: also of a plane scene."""
         png, gif = (self.picture, "png", "ask for --no-picture"), (self.animation, "gif", NO_GIF)
         for is_asked, ending, instead in (png, gif):
             if is_asked:
                 require("matplotlib", "plots", f"{self.stem}.{ending}", instead)
-                if scene is not None and scene.in_space:
+                if in_space or (scene is not None and scene.in_space):
                     space.check_render(f"{self.stem}.{ending}", instead)
         if self.html:
             check_page(f"{self.stem}.html", "leave out --html")

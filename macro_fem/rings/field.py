@@ -12,26 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from macro_fem.fem.cells import padded
+from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites
 from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestPoses
-from rve.common import Array, Index, as_html, check_out_job, csv_text, job, versions, write_text
-from rve.common.drawing.page import check_page, write_page
-from rve.common.drawing.space import check_render, save_picture
+from rve.common import Array, Index, as_html, csv_text, job, versions, write_text
+from rve.common.drawing.page import write_page
+from rve.common.drawing.space import save_picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 RECORD = "localize.json"
 """The file that stands for the job; it lists the others by their checksums."""
-
-
-def check_outputs(folder: str | Path, inputs: Iterable[str | Path | None], *, picture: bool, html: bool) -> None:
-    """InputError if files cannot be written, or would overwrite `inputs`, or what a picture needs is missing."""
-    if picture:
-        check_render("rings.png")
-    if html:
-        check_page("rings.html", "leave out --html")
-    check_out_job(folder, RECORD, inputs=inputs)
 
 
 @dataclass(frozen=True)
@@ -176,8 +168,7 @@ class RingField:
         line load. All files appear together, and what they replace is gone (`rve.common.files`). InputError where they
         cannot be written or would overwrite one of `inputs`, or if what a picture needs is missing.
         """
-        inputs = list(inputs)
-        check_outputs(folder, inputs, picture=picture, html=html)
+        Pictures(picture, html=html, stem="rings").check(in_space=True)
         with job(folder, RECORD, self.summary, inputs) as staged:
             self.drawn.write_vtu(staged / "rings.vtu", self.data, tubes=tubes)
             write_text(staged / "worst_cell.csv", self.worst.table())

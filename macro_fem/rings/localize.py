@@ -19,8 +19,9 @@ from msgspec import Meta
 from scipy.spatial.transform import Rotation
 
 from macro_fem.fem.cells import mean_at_corners, padded, signed_areas
+from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites, curtain_file, read_curtain
-from macro_fem.rings.field import RingField, WorstCell, check_outputs
+from macro_fem.rings.field import RECORD, RingField, WorstCell
 from rve import (
     Cell,
     NearestPoses,
@@ -36,7 +37,7 @@ from rve import (
     offsets,
     reference_shares,
 )
-from rve.common import Array, Index, InputError, Typed, tell
+from rve.common import Array, Index, InputError, Typed, check_out_job, tell
 
 NARROW = 1e-3
 """A triangle drawn together to less than this part of its length takes its normal from its neighbours."""
@@ -112,7 +113,8 @@ def run_localize(
     """`localize` and `RingField.save` into `out`, `vtu`: its `tubes` and `stl`; the summary. What the picture needs and
     what `out` would overwrite is checked before anything is solved."""
     inputs = [curtain_file(path)]
-    check_outputs(out, inputs, picture=picture, html=html)
+    Pictures(picture, html=html, stem="rings").check(in_space=True)
+    check_out_job(out, RECORD, inputs)
     return localize(path, options).save(out, picture=picture, html=html, inputs=inputs, **vtu)
 
 
