@@ -33,7 +33,7 @@ def plain_stiffness(disc, A):
 
 
 @pytest.mark.parametrize("element", ELEMENTS)
-def test_gradients_are_those_of_scikit_fem(element):
+def test_gradients_and_loads_are_those_of_scikit_fem(element):
     mesh = distorted()
     disc = discretize(mesh, element)
     basis = skfem.Basis(mesh, ELEMENTS[element][0](), intorder=4)
@@ -44,7 +44,9 @@ def test_gradients_are_those_of_scikit_fem(element):
     K = skfem.BilinearForm(lambda u, w, _: dot(grad(u), grad(w))).assemble(basis)
     assert energy == pytest.approx(float(v @ (K @ v)), rel=1e-12)
     f = skfem.LinearForm(lambda w, _: w).assemble(basis)
-    np.testing.assert_allclose(load_vector(fine, np.ones(1))[:, 0], f, atol=1e-14)
+    np.testing.assert_allclose(load_vector(disc, np.array([1.0, -2.0])), np.outer(f, [1.0, -2.0]), atol=1e-14)
+    by_place = skfem.LinearForm(lambda w, at: at.x[0] * w).assemble(basis)
+    np.testing.assert_allclose(load_vector(fine, fine.points[:, :1])[:, 0], by_place, atol=1e-14)
 
 
 @pytest.mark.parametrize("element", ELEMENTS)
@@ -91,9 +93,7 @@ def test_interpolation_converges_at_the_order_of_the_element(element, order):
     assert np.log2(slopes[1] / slopes[2]) == pytest.approx(order - 1, abs=0.1)
 
 
-def test_load_of_a_weight_adds_up():
-    disc = discretize(distorted(), "P2")
-    f = load_vector(disc, np.array([0.0, -2.0]))
-    np.testing.assert_allclose(f.sum(axis=0), [0.0, -2.0 * disc.weight.sum()], atol=1e-13)
-    by_point = np.stack([np.zeros(disc.n_points), -disc.points[:, 0]], axis=-1)
-    assert load_vector(disc, by_point).sum() == pytest.approx(-disc.weight @ disc.points[:, 0])
+def test_a_cell_without_area_is_named():
+    mesh = skfem.MeshTri(np.array([[0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 0.0]]), np.array([[0, 0], [1, 1], [2, 3]]))
+    with np.errstate(all="ignore"), pytest.raises(ValueError, match="cell 1 of the mesh has no area"):
+        discretize(mesh, "P1")

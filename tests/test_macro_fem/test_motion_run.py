@@ -234,11 +234,11 @@ def test_modes_prints_one_object_with_ascending_frequencies(tmp_path):
     scene = tmp_path / "scene.toml"
     scene.write_text("[curtain]\nwidth = 60.0\nheight = 1000.0\n[mesh]\ncells = 2\n[support]\nkind = 'top'\n")
     out = str(tmp_path / "out")
-    result = CliRunner().invoke(main, ["modes", str(scene), "--number", "2", "--out", out, "--no-picture"])
+    result = CliRunner().invoke(main, ["modes", str(scene), "--number", "2", "--out", out])
     assert result.exit_code == 0, result.output
     exact = [0.25 * j / np.pi * np.sqrt(G / 1000.0) for j in (2.404826, 5.520078)]
     assert json.loads(result.stdout)["frequencies_Hz"] == pytest.approx(exact, rel=1e-2)
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["modes.json", "modes.vtu"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["modes.json", "modes.png", "modes.vtu"]
 
 
 def thrown(tables, velocity, duration, step):
