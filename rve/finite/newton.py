@@ -48,7 +48,7 @@ _CLOSED = 0.8
 @dataclass(frozen=True, eq=False)
 class Step:
     """A Newton step q (n, 5), forecast of the gaps and forces, part (p,) that is safe, slope of the barrier function
-    along it, stiffness of contacts, and a function that solves with its matrix."""
+    along it, stiffness of contacts, and a function that solves with its matrix for the u motions of the task."""
 
     q: Array
     dgap: Array

@@ -95,17 +95,13 @@ def _fell(now: Iteration, new: Touching, slope: float) -> bool:
     Where the number of a pair's contacts has changed, only its deepest one counts.
     """
 
-    def parts(con: Touching) -> tuple[Array, Array]:
-        g, d = (np.minimum(x / con.reach, 1.0) for x in (con.gap, con.deepest))
-        total = np.bincount(con.minima.pair, g - 1.0 - np.log(g), minlength=len(con.key))
-        return np.asarray(total), d - 1.0 - np.log(d)
+    def beyond_deepest(con: Touching) -> Array:
+        total = np.bincount(con.minima.pair, con.barrier(con.gap), minlength=len(con.key))
+        return np.asarray(total - con.barrier(con.deepest))
 
     old, mu = now.con, now.state.mu
-    each = new.greater(mu)
-    (all_old, one_old), (all_new, one_new) = parts(old), parts(new)
-    i = of_pairs(old.key, new.key)
-    changed = (i >= 0) & (old.count[i] != new.count) & (old.count[i] > 0) & (new.count > 0)
-    i = i[changed]
-    split = (one_new[changed] - one_old[i]) - (all_new[changed] - all_old[i])
-    after = now.task.barrier(new, mu) + float(each[changed] @ split)
+    row = of_pairs(old.key, new.key)
+    changed = (row >= 0) & (old.count[row] != new.count) & (old.count[row] > 0) & (new.count > 0)
+    more = (beyond_deepest(new) - beyond_deepest(old)[row])[changed]
+    after = now.task.barrier(new, mu) - float(new.greater(mu)[changed] @ more)
     return after <= now.barrier + 1e-4 * slope + 1e-11 * (1.0 + abs(now.barrier))

@@ -121,11 +121,10 @@ class Task:
         return energy, pull, stiff
 
     def barrier(self, con: Touching, mu: Array) -> float:
-        """-f.x + sum mu (g/R - 1 - log g/R), g the gap and R the reach, and the energy of springs and inertia, all
-        without units, mu (n,) of the rings: falls along a step at one mu."""
-        gap = np.minimum(con.gap / con.reach, 1.0)
+        """-f.x + sum mu `Touching.barrier` and the energy of springs and inertia, all without units, mu (n,) of the
+        rings: falls along a step at one mu."""
         energy = self.springs(con.placed, float(mu.max()))[0] - (self.force * con.placed.x).sum()
-        return float(energy + (con.greater(mu)[con.minima.pair] * (gap - 1.0 - np.log(gap))).sum())
+        return float(energy + (con.greater(mu)[con.minima.pair] * con.barrier(con.gap)).sum())
 
 
 @dataclass(frozen=True, eq=False)

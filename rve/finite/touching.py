@@ -110,6 +110,11 @@ class Touching:
         """The greater value (p,) of the rings (n,) of each pair."""
         return np.maximum(of[self.a], of[self.b])
 
+    def barrier(self, gap: Array) -> Array:
+        """x - 1 - log x (k,) of gaps x (k,) over the reach, 0 from there on: rises without bound where they close."""
+        x = np.minimum(gap / self.reach, 1.0)
+        return np.asarray(x - 1.0 - np.log(x))
+
     def central(self, mu: Array | float) -> Array:
         """Forces (m,) on the central path, mu () or (m,), a little more than none where a gap is at the reach."""
         return np.asarray(mu * np.maximum(1.0 / self.gap - 1.0 / self.reach, 1e-8))
