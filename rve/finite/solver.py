@@ -22,8 +22,8 @@ from rve.common.factor import Factorizer
 from rve.finite.equations import gradients, spread
 from rve.finite.newton import Iteration, Step
 from rve.finite.search import search
-from rve.finite.task import FiniteOptions, Found, Record, State, Task
-from rve.finite.touching import Placed, Touching
+from rve.finite.task import BLOCK, FiniteOptions, Found, Record, State, Task
+from rve.finite.touching import NOWHERE, Placed, Touching, fixed_points
 
 _HIGHEST = 0.1
 """Largest mu, the product of force and gap, that lifts lead to."""
@@ -46,7 +46,10 @@ _TOGETHER = 1e-4
 _LINKS, _PASSES = 6, 4
 """Links around a ring that are lifted with it, and over which what its contacts do is averaged. Of 481 to 1,013 rings
 in space that makes a tenth to a third fewer iterations than one mu for all."""
-_TRIES = 3
+_DITHERS, _BALANCED = 5, 1e-3
+"""Iterations at the last mu in which the residual has not fallen after which unbalanced pairs touch at fixed points, if
+it is below the second number."""
+_TRIES = 5
 """Times a step is damped pair by pair before it is shortened."""
 _NEARER = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))
 """Reach from these mu on, in r1: contacts farther away have next to no force, and cost as much as others."""
@@ -106,6 +109,15 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
         if is_end and merit < least:
             least, finest = merit, state
         pace.count(merit, state.gain)
+        if is_end and pace.idle == _DITHERS and merit < _BALANCED:
+            more = fixed_points(state.touching, _unbalanced_pairs(state, G, task))
+            if len(more.key):
+                task = replace(task, points=task.points.join([more]))
+                local = np.where(np.isin(state.touching.key, more.key), 0.0, state.local)
+                state = replace(state, local=local)
+                state = state.at(task.find(state.touching.placed, state.touching.reach))
+                pace.idle, pace.best = 0, np.inf
+                continue
         # Calm: the last step of Newton's method at this mu could have gained next to nothing.
         is_sliding = pace.lifts.max() < slides and most <= _SLIDING and state.local.max(initial=0.0) >= _DAMPED
         is_calm = ~is_last & (state.gain >= 0.0) & (state.gain < _CALM * state.mu) & (not is_sliding)
@@ -121,7 +133,7 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
             is_stuck = is_end and is_over.any()
             if is_stuck:
                 # Points beside a minimum move with it and may keep a last residual: the next end goes without them.
-                task = replace(task, beside=not task.beside)
+                task = replace(task, beside=not task.beside, points=NOWHERE)
                 ends += 1
             lift = _LIFT ** (1 + (ends - 1) % _ENDS) if is_stuck else _LIFT
             mu, is_lifted = _next_mu(state, task, is_calm, np.where(is_over, lift, 0.0), options)
@@ -206,12 +218,21 @@ def _reach(options: FiniteOptions, mu: float) -> float:
 
 def kkt(state: State, G: Array, task: Task) -> tuple[float, float]:
     """Sum of the unbalanced forces over the sum of the loads; sum of force times gap over (links times mean force)."""
-    con = state.touching
-    out = spread(con, G, state.force)
+    unbalanced = np.abs(_unbalanced(state, G, task)).sum()
+    return float(unbalanced / task.load), float((state.force * state.touching.gap).sum() / len(task.linked))
+
+
+def _unbalanced(state: State, G: Array, task: Task) -> Array:
+    """Unbalanced forces (u,) on the free motions."""
+    out = spread(state.touching, G, state.force) + task.springs(state.touching.placed, 0.0)[1]
     out[:, :3] += task.force
-    out += task.springs(con.placed, 0.0)[1]
-    unbalanced = np.abs(task.motions.T @ out.ravel()).sum()
-    return float(unbalanced / task.load), float((state.force * con.gap).sum() / len(task.linked))
+    return np.asarray(task.motions.T @ out.ravel())
+
+
+def _unbalanced_pairs(state: State, G: Array, task: Task) -> Index:
+    """Rows of the pairs of rings both of which have a tenth or more of the largest unbalanced force."""
+    size = np.abs(task.motions @ _unbalanced(state, G, task)).reshape(-1, BLOCK).max(axis=1)
+    return np.flatnonzero(np.minimum(size[state.touching.a], size[state.touching.b]) > 0.1 * size.max())
 
 
 def _advance(state: State, task: Task, G: Array, factorize: Factorizer) -> tuple[State, Record, bool]:

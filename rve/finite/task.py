@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from rve.common import Array, Index
-from rve.finite.touching import Placed, Touching, find_touching, handed_on, of_pairs
+from rve.finite.touching import NOWHERE, FixedPoints, Placed, Touching, find_touching, handed_on, of_pairs
 from rve.geometry.circles import cross, dot, tangent_frame
 
 BLOCK = 5
@@ -70,9 +70,9 @@ class RingInertia:
 class Task:
     """What is solved: linked pairs (m, 2), wire = r2/r1, dead forces (n, 3), held coordinates (n, 3) and their places,
     motions (5 n, u): those that are free, rings on straight bars going with the ends of their bar; beside: whether
-    points beside soft minima are constraints too; guide (n, 3): places that pull at the centres while mu is large, nan
-    where none does; load: the sum of the loads, by which residuals are measured; inertia: that of a time step; unit:
-    that of forces, in N."""
+    points beside soft minima are constraints too; points: of pairs that touch at fixed ones; guide (n, 3): places that
+    pull at the centres while mu is large, nan where none does; load: the sum of the loads, by which residuals are
+    measured; inertia: that of a time step; unit: that of forces, in N."""
 
     linked: Index
     wire: float
@@ -81,6 +81,7 @@ class Task:
     at: Array
     motions: sparse.csr_matrix
     beside: bool = True
+    points: FixedPoints = NOWHERE
     guide: Array = field(default_factory=lambda: np.array(np.nan))
     load: float = 1.0
     inertia: RingInertia | None = None
@@ -93,7 +94,7 @@ class Task:
 
     def find(self, placed: Placed, reach: float) -> Touching:
         """The contacts of placed rings."""
-        return find_touching(placed, self.linked, self.wire, reach, beside=self.beside)
+        return find_touching(placed, self.linked, self.wire, reach, beside=self.beside, points=self.points)
 
     def way_left(self, placed: Placed) -> Array:
         """The way (n, 3) of held coordinates to their places, 0 for others."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from rve.common import Array, Flags, Index
+from rve.common import Array, Flags, Index, Rows
 from rve.finite.walls import wall_gaps
 from rve.geometry.circles import (
     Minima,
@@ -29,6 +29,9 @@ from rve.geometry.circles import (
 SOFT, FLAT, NEXT = 0.3, 100.0, 3.0
 """Minima with less than the first curvature, and stiffness^2 less than the second times the gap, are soft; points
 beside them are where the gap has grown by the third times itself."""
+_OUTER, _INNER, _POINTS = 30.0, 0.05, 200
+"""Fixed points of a pair reach to where its gap has grown by the first times itself; half-way between two of them it is
+less by the second part of it; at most so many."""
 _CHUNK = 4096
 """Pairs sampled together: their samples stay in the cache of a processor."""
 
@@ -126,10 +129,56 @@ class Touching:
         return np.where(total[pair] > 0.0, total[pair] * fresh / np.maximum(whole[pair], 1e-300), fresh)
 
 
-def find_touching(placed: Placed, linked: Index, wire: float, reach: float, *, beside: bool = True) -> Touching:
+@dataclass(frozen=True, eq=False)
+class FixedPoints(Rows):
+    """Pairs that touch at points which keep their place on ring a: key (k,) of the pair of each point, and the point
+    relative to the centre of ring a (k, 3).
+
+    Where two minima merge the least one moves by the cube root of what rings turn: no step of Newton's method can tell
+    where it will be, nor how many there will be. Points so close that the gap between them is hardly less have smooth
+    gaps, and their forces add up to one anywhere between them.
+    """
+
+    key: Index
+    rho: Array
+
+    def minima(self, placed: Placed, key: Index) -> Minima:
+        """The points as contacts of those pairs that are among the sorted keys (p,)."""
+        row = of_pairs(key, self.key)
+        row, rho = row[row >= 0], self.rho[row >= 0]
+        a, b = np.divmod(key[row], len(placed.x))
+        d, na, nb = placed.x[b] - placed.x[a], placed.normal[a], placed.normal[b]
+        return _from(row, foot_on_circle(rho, na), d, nb)
+
+
+def fixed_points(con: Touching, pairs: Index) -> FixedPoints:
+    """Points around the soft minima of these pairs, where they have some."""
+    minima, soft = con.minima, (con.minima.curvature < SOFT) & ~con.fixed
+    keys, places = [con.key[:0]], [np.zeros((0, 3))]
+    for pair in pairs:
+        rows = np.flatnonzero(soft & (minima.pair == pair))
+        if not len(rows):
+            continue
+        first, tau = minima.rho_a[rows[0]], cross(con.placed.normal[con.a[pair]], minima.rho_a[rows[0]])
+        angle = np.arctan2(minima.rho_a[rows] @ tau, minima.rho_a[rows] @ first)
+        outer, half = (_softness(minima.take(rows), con.wire, times)[1] for times in (_OUTER, _INNER))
+        low, high = float((angle - outer).min()), float((angle + outer).max())
+        t = np.linspace(low, high, min(_POINTS, 1 + int(np.ceil((high - low) / (2.0 * half.min())))))
+        keys.append(np.full(len(t), con.key[pair]))
+        places.append(np.cos(t)[:, None] * first + np.sin(t)[:, None] * tau)
+    return FixedPoints(np.concatenate(keys), np.concatenate(places))
+
+
+NOWHERE = FixedPoints(np.zeros(0, np.int64), np.zeros((0, 3)))
+
+
+def find_touching(
+    placed: Placed, linked: Index, wire: float, reach: float, *, beside: bool = True, points: FixedPoints = NOWHERE
+) -> Touching:
     """All contacts whose gap is below `reach` (r1), and points beside soft ones; wire = r2/r1.
 
-    Looked at are the pairs of rings with centres nearer than 2 + 2 wire + reach, and the linked ones (m, 2).
+    Looked at are the pairs of rings with centres nearer than 2 + 2 wire + reach, and the linked ones (m, 2). Pairs that
+    have fixed `points` touch there instead.
     """
     n, rings, limit = len(placed.x), placed.rings, 2.0 * wire + reach
     near = cKDTree(placed.x[:rings]).query_pairs(2.0 + limit, output_type="ndarray").astype(np.int64)
@@ -142,9 +191,12 @@ def find_touching(placed: Placed, linked: Index, wire: float, reach: float, *, b
         found = local_minima(d[rows], na[rows], nb[rows], reach=limit)
         parts.append(replace(found, pair=found.pair + first))
     minima = parts[0].join(parts[1:])
+    deepest = np.full(len(key), np.inf)
+    np.minimum.at(deepest, minima.pair, minima.distance - 2.0 * wire)
+    at_points = points.minima(placed, key)
+    minima = minima.take(~np.isin(minima.pair, at_points.pair))
     free = len(minima.pair)
-    if beside:
-        minima = minima.join(_beside_soft(minima, d, na, nb, wire, limit))
+    minima = minima.join([at_points, *(_beside_soft(minima, d, na, nb, wire, limit) if beside else ())])
     ring, wall = np.repeat(np.arange(rings), placed.walls), np.tile(np.arange(rings, n), rings)
     radius = placed.radius[wall - rings]
     g = wall_gaps(placed.x[ring], placed.normal[ring], placed.x[wall], placed.normal[wall], radius)
@@ -154,12 +206,11 @@ def find_touching(placed: Placed, linked: Index, wire: float, reach: float, *, b
     more = Minima(row, -placed.normal[wall], zero, zero, g + 2.0 * wire, np.ones(len(ring))).take(g < reach)
     key = np.concatenate([key, ring * n + wall])
     order = np.argsort(key, kind="stable")
-    minima, key = minima.join([more]), key[order]
+    minima, key, deepest = minima.join([more]), key[order], np.append(deepest, np.full(len(ring), np.inf))[order]
     minima = replace(minima, pair=np.argsort(order, kind="stable")[minima.pair])
     order = np.argsort(minima.pair, kind="stable")
     minima, fixed = minima.take(order), order >= free
     gap = minima.distance - 2.0 * wire
-    deepest = np.full(len(key), np.inf)
     np.minimum.at(deepest, minima.pair, gap)
     return Touching(placed, wire, reach, key, minima, fixed, gap, deepest, *np.divmod(key, n))
 
@@ -169,21 +220,31 @@ def _beside_soft(minima: Minima, d: Array, na: Array, nb: Array, wire: float, li
 
     A soft minimum is about to split or has just merged; what is beside it will be the next one.
     """
-    gap = np.maximum(minima.distance - 2.0 * wire, 1e-13)
-    stiff = np.maximum(minima.curvature, 0.0) / minima.distance
-    soft = (minima.curvature < SOFT) & (stiff**2 < FLAT * gap)
-    rows, t, g = minima.take(soft), stiff[soft], gap[soft]
-    aside = np.minimum(np.sqrt(np.sqrt(t * t + 4.0 * NEXT * g) - t), 0.4)
+    soft, aside = _softness(minima, wire, NEXT)
+    rows, aside = minima.take(soft), np.minimum(aside[soft], 0.4)
     tau = cross(na[rows.pair], rows.rho_a)
     parts = []
     for sign in (1.0, -1.0):
         rho_a = np.cos(aside)[:, None] * rows.rho_a + sign * np.sin(aside)[:, None] * tau
-        rho_b = foot_on_circle(rho_a - d[rows.pair], nb[rows.pair])
-        w = d[rows.pair] + rho_b - rho_a
-        distance = norm(w)
-        found = Minima(rows.pair, w / distance[:, None], rho_a, rho_b, distance, np.ones(len(distance)))
-        parts.append(found.take(distance <= limit))
+        found = _from(rows.pair, rho_a, d[rows.pair], nb[rows.pair])
+        parts.append(found.take(found.distance <= limit))
     return parts
+
+
+def _softness(minima: Minima, wire: float, times: float = NEXT) -> tuple[Flags, Array]:
+    """Which minima (m,) are soft, and the angles (m,) beside them where the gap has grown by so many times itself."""
+    gap = np.maximum(minima.distance - 2.0 * wire, 1e-13)
+    stiff = np.maximum(minima.curvature, 0.0) / minima.distance
+    soft = (minima.curvature < SOFT) & (stiff**2 < FLAT * gap)
+    return soft, np.sqrt(np.sqrt(stiff * stiff + 4.0 * times * gap) - stiff)
+
+
+def _from(pair: Index, rho_a: Array, d: Array, nb: Array) -> Minima:
+    """Points (m, 3) of ring a, and of ring b those nearest to them, as contacts of the pairs (m,)."""
+    rho_b = foot_on_circle(rho_a - d, nb)
+    w = d + rho_b - rho_a
+    distance = norm(w)
+    return Minima(pair, w / distance[:, None], rho_a, rho_b, distance, np.ones(len(pair)))
 
 
 def followed_gaps(old: Touching, placed: Placed) -> Array:

@@ -14,7 +14,15 @@ from rve.drawn import ALONG
 from rve.finite.equations import METRIC, blocks, gradients, lacking, rows_of, spread
 from rve.finite.newton import Iteration, forces_that_stop
 from rve.finite.task import State, Task
-from rve.finite.touching import Placed, find_touching, followed_gaps, is_passage_safe, links_intact, ways
+from rve.finite.touching import (
+    Placed,
+    find_touching,
+    fixed_points,
+    followed_gaps,
+    is_passage_safe,
+    links_intact,
+    ways,
+)
 from rve.finite.walls import wall_derivatives, wall_gaps
 from rve.geometry.circles import tangent_frame
 from rve.geometry.weave import WEAVES
@@ -508,6 +516,26 @@ def from_random_starts(seeds):
     at[corners, 0] = 11.0 + 0.8 * (at[corners, 0] - 11.0)
     options = (FiniteOptions(seed=seed, disturbance=0.1) for seed in seeds)
     return [mesh.solve(force, held, at, options=one) for one in options], np.abs(force).sum() * 5.0
+
+
+def test_fixed_points_of_a_soft_pair_are_as_near_as_its_minima_and_their_gaps_are_smooth():
+    wire, none = 0.1, np.zeros((0, 2), int)
+
+    def placed(tilt):
+        return Placed(np.array([[0.0, 0, 0], [0, 0, 2 * wire + 2e-3 + 1e-6]]), np.array([[0.0, 0, 1], tilt]))
+
+    tilt = np.array([0.0, np.sin(2e-3), np.cos(2e-3)])
+    con = find_touching(placed(tilt), none, wire, 0.1)
+    points = fixed_points(con, np.arange(1))
+    fixed = find_touching(placed(tilt), none, wire, 0.1, beside=False, points=points)
+    assert con.minima.curvature.min() < 1e-2 and fixed.fixed.all() and len(fixed.gap) > 5
+    assert fixed.deepest == pytest.approx(con.deepest)
+    assert con.deepest[0] <= fixed.gap.min() < 1.1 * con.deepest[0]
+    turn = np.zeros((2, 5))
+    turn[1, 4] = turn[1, 3] = 1e-5
+    moved = find_touching(placed(tilt).moved(turn), none, wire, 0.1, beside=False, points=points)
+    forecast = fixed.gap + rows_of(fixed, fixed.minima.pair, gradients(fixed)) @ turn.ravel()
+    assert moved.gap == pytest.approx(forecast, abs=1e-9)  # twice the square of the turn over the distance
 
 
 @pytest.mark.slow
