@@ -528,7 +528,9 @@ def test_fixed_points_of_a_soft_pair_are_as_near_as_its_minima_and_their_gaps_ar
     con = find_touching(placed(tilt), none, wire, 0.1)
     points = fixed_points(con, np.arange(1))
     fixed = find_touching(placed(tilt), none, wire, 0.1, beside=False, points=points)
-    assert con.minima.curvature.min() < 1e-2 and fixed.fixed.all() and len(fixed.gap) > 5
+    assert con.minima.curvature.min() < 1e-2
+    assert fixed.fixed.all()
+    assert len(fixed.gap) > 5
     assert fixed.deepest == pytest.approx(con.deepest)
     assert con.deepest[0] <= fixed.gap.min() < 1.1 * con.deepest[0]
     turn = np.zeros((2, 5))
