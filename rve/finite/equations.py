@@ -30,7 +30,8 @@ def gradients(con: Touching) -> Array:
     frame = np.stack(tangent_frame(con.placed.normal), axis=2)
     tilt_a = (g[:, 3:6, None] * frame[con.a[pair]]).sum(axis=1)
     out = np.concatenate([g[:, :3], tilt_a, (g[:, 6:9, None] * frame[con.b[pair]]).sum(axis=1)], axis=1)
-    out[con.at_wall] = _of_walls(con, np.flatnonzero(con.at_wall))[0]
+    if con.placed.walls:
+        out[con.at_wall] = _of_walls(con, np.flatnonzero(con.at_wall))[0]
     return out
 
 
@@ -43,18 +44,18 @@ def _of_walls(con: Touching, rows: Index) -> tuple[Array, Array]:
 
 
 def rows_of(con: Touching, pair: Index, v: Array) -> sparse.csr_matrix:
-    """Derivatives (k, 5 n) by all unknowns of what has the derivatives v (k, 7) by those of the pairs `pair` (k,)."""
-    a, b, along = BLOCK * con.a[pair, None], BLOCK * con.b[pair, None], np.arange(BLOCK)
-    columns = np.concatenate([a + along, b + along], axis=1)
-    values = np.concatenate([-v[:, :3], v[:, 3:5], v[:, :3], v[:, 5:]], axis=1)
-    first = 2 * BLOCK * np.arange(len(pair) + 1)
-    shape = len(pair), BLOCK * len(con.placed.x)
-    return sparse.csr_matrix((values.ravel(), columns.ravel(), first), shape=shape)
+    """Derivatives (k r, 5 n) by all unknowns of what has the derivatives v (k, r, 7) by those of pairs `pair` (k,)."""
+    by_a = np.concatenate([-v[..., :3], v[..., 3:5]], axis=2)
+    by_b = np.concatenate([v[..., :3], v[..., 5:]], axis=2)
+    values = np.stack([by_a, by_b], axis=1).reshape(-1, v.shape[1], BLOCK)
+    columns = np.stack([con.a[pair], con.b[pair]], axis=1).ravel()
+    shape = len(pair) * v.shape[1], BLOCK * len(con.placed.x)
+    return sparse.bsr_matrix((values, columns, 2 * np.arange(len(pair) + 1)), shape=shape).tocsr()
 
 
 def spread(con: Touching, G: Array, force: Array) -> Array:
     """Generalised forces (n, 5) of contact forces (m,): sum of G^T force."""
-    return np.asarray(rows_of(con, con.minima.pair, G).T @ force).reshape(-1, BLOCK)
+    return np.asarray(rows_of(con, con.minima.pair, G[:, None]).T @ force).reshape(-1, BLOCK)
 
 
 def block_diagonal(pairs: Array, weight: Array) -> sparse.csr_matrix:
@@ -72,16 +73,16 @@ def blocks(con: Touching, G: Array, stiff: Array, force: Array, idle: Array) -> 
     """Blocks (p, 7, 7) of the pairs: sum of stiff G G^T - force d2(gap); contacts below `idle` (m,) have no
     curvature."""
     first = np.searchsorted(con.minima.pair, np.arange(len(con.key) + 1))
-    some = np.flatnonzero(first[1:] > first[:-1])
     out = np.zeros((len(con.key), PAIR, PAIR))
     frame = np.stack(tangent_frame(con.placed.normal), axis=2)
-    for part in range(0, len(some), _CHUNK):
-        mine = some[part : part + _CHUNK]
-        rows = np.arange(first[mine[0]], first[mine[-1] + 1])
+    for part in range(0, len(con.key), _CHUNK):
+        ends = first[part : part + _CHUNK + 1]
+        rows = np.arange(ends[0], ends[-1])
         per = (stiff[rows, None] * G[rows])[:, :, None] * G[rows, None, :]
         curved = np.flatnonzero(force[rows] > idle[rows])
         per[curved] -= force[rows[curved], None, None] * _curvatures(con, rows[curved], frame)
-        out[mine] = np.add.reduceat(per, first[mine] - rows[0], axis=0)
+        add = sparse.csr_matrix((np.ones(len(rows)), rows - ends[0], ends - ends[0]), shape=(len(ends) - 1, len(rows)))
+        out[part : part + _CHUNK] = (add @ per.reshape(-1, PAIR**2)).reshape(-1, PAIR, PAIR)
     return out
 
 
@@ -94,8 +95,9 @@ def _curvatures(con: Touching, rows: Index, frame: Array) -> Array:
     B[:, [0, 1, 2], [0, 1, 2]] = 1.0
     B[:, 3:6, 3:5], B[:, 6:9, 5:7] = frame[a], frame[b]
     second = np.matmul(B.transpose(0, 2, 1), np.matmul(H, B))
-    at_wall = b >= con.placed.rings
-    second[at_wall] = _of_walls(con, rows[at_wall])[1]
+    if con.placed.walls:
+        at_wall = b >= con.placed.rings
+        second[at_wall] = _of_walls(con, rows[at_wall])[1]
     return np.asarray(second)
 
 

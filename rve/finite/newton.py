@@ -86,8 +86,8 @@ class Iteration:
         self._heavy = np.maximum(carried, 0.1 * con.greater(state.mu) * np.isin(con.key, task.keys))
         self.barrier = task.barrier(con, state.mu)
         self._felt = np.flatnonzero((con.count > 0) | (self._heavy > 0.0))  # the others stay out of the matrix
-        unit, pair = np.tile(np.eye(PAIR), (len(self._felt), 1)), np.repeat(self._felt, PAIR)
-        pairs, gaps = rows_of(con, pair, unit), rows_of(con, con.minima.pair, G)
+        unit = np.broadcast_to(np.eye(PAIR), (len(self._felt), PAIR, PAIR))
+        pairs, gaps = rows_of(con, self._felt, unit), rows_of(con, con.minima.pair, G[:, None])
         pairs.eliminate_zeros()
         self._S, self._R_gaps = sparse.vstack([pairs @ task.motions, task.motions], "csr"), gaps @ task.motions
         self._S_T, self._R = self._S.T.tocsr(), sparse.vstack([self._S, self._R_gaps], "csr")

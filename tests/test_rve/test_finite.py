@@ -112,8 +112,9 @@ def test_gradients_and_newton_matrix_are_those_of_differences():
     assert (fore.key == con.key).all()
     assert (fore.count == con.count).all()
     jac = gradients(con)
-    moved = (rows_of(con, np.repeat(con.minima.pair, 7), np.tile(np.eye(7), (len(gap), 1))) @ q.ravel()).reshape(-1, 7)
-    rate = rows_of(con, con.minima.pair, jac) @ q.ravel()
+    unit = np.broadcast_to(np.eye(7), (len(gap), 7, 7))
+    moved = (rows_of(con, con.minima.pair, unit) @ q.ravel()).reshape(-1, 7)
+    rate = rows_of(con, con.minima.pair, jac[:, None]) @ q.ravel()
     assert np.allclose(rate, (jac * moved).sum(axis=1))
     assert np.abs(rate - (g1 - g2) / (2 * step))[same].max() < 1e-6
     assert (fore.count == aft.count).all()
