@@ -18,8 +18,8 @@ from scipy.optimize import nnls
 from rve.common import Array, Index
 from rve.common.factor import Factorizer, Solve
 from rve.finite.equations import METRIC, PAIR, block_diagonal, blocks, lacking, rows_of
+from rve.finite.passage import safe_parts
 from rve.finite.task import BLOCK, State, Task
-from rve.finite.touching import safe_parts
 
 _WAY = 3.0
 """Largest way of a held ring in one iteration, in r1."""

@@ -12,7 +12,8 @@ import numpy as np
 
 from rve.common import Array, Index
 from rve.finite.newton import FINE, Iteration, Step
-from rve.finite.touching import Touching, followed_gaps, is_passage_safe, links_intact, of_pairs
+from rve.finite.passage import is_passage_safe
+from rve.finite.touching import Touching, followed_gaps, links_intact, of_pairs
 
 _TURNS = 3
 """Trials of a step, as it is and corrected."""

@@ -91,12 +91,11 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
     pace, status, is_minimum = Patience.of(options, len(state.mu)), "iterations", False
     for _ in range(options.max_iterations):
         most = float(state.mu.max())
-        share = way(options.first, most, options.last)
-        tell(f"{len(task.force)} rings, iteration {len(history) + 1}, force x gap {most:.0e}", share)
-        G = gradients(state.touching)
-        residual, product = kkt(state, G, task)
-        product *= options.tolerance / max(options.tolerance, _PRODUCT * options.last)
-        merit, has_arrived = max(residual, product), np.abs(task.way_left(state.touching.placed)).max() < 1e-12
+        words = f"{len(task.force)} rings, iteration {len(history) + 1}, force x gap {most:.0e}"
+        tell(words, way(options.first, most, options.last))
+        residual, product = kkt(state, task)
+        merit = max(residual, product * options.tolerance / max(options.tolerance, _PRODUCT * options.last))
+        has_arrived = np.abs(task.way_left(state.touching.placed)).max() < 1e-12
         is_last = state.mu <= options.last
         is_end = bool(has_arrived and is_last.all())
         if is_end and merit < options.tolerance:
@@ -110,14 +109,8 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
             least, finest = merit, state
         pace.count(merit, state.gain)
         if is_end and pace.idle == _DITHERS and merit < _BALANCED:
-            more = fixed_points(state.touching, _unbalanced_pairs(state, G, task))
-            if len(more.key):
-                task = replace(task, points=task.points.join([more]))
-                local = np.where(np.isin(state.touching.key, more.key), 0.0, state.local)
-                state = replace(state, local=local)
-                state = state.at(task.find(state.touching.placed, state.touching.reach))
-                pace.idle, pace.best = 0, np.inf
-                continue
+            known, (state, task) = len(task.points.key), _with_fixed_points(state, task)
+            pace.best = np.inf if len(task.points.key) > known else pace.best
         # Calm: the last step of Newton's method at this mu could have gained next to nothing.
         is_sliding = pace.lifts.max() < slides and most <= _SLIDING and state.local.max(initial=0.0) >= _DAMPED
         is_calm = ~is_last & (state.gain >= 0.0) & (state.gain < _CALM * state.mu) & (not is_sliding)
@@ -133,22 +126,20 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
             is_stuck = is_end and is_over.any()
             if is_stuck:
                 # Points beside a minimum move with it and may keep a last residual: the next end goes without them.
-                task = replace(task, beside=not task.beside, points=NOWHERE)
-                ends += 1
+                task, ends = replace(task, beside=not task.beside, points=NOWHERE), ends + 1
             lift = _LIFT ** (1 + (ends - 1) % _ENDS) if is_stuck else _LIFT
             mu, is_lifted = _next_mu(state, task, is_calm, np.where(is_over, lift, 0.0), options)
             pace.begin(mu != state.mu, is_lifted)
             state, reach = replace(state, mu=mu), _reach(options, float(mu.max()))
             if reach != state.touching.reach or is_stuck:
                 state = state.at(task.find(state.touching.placed, reach))
-                G = gradients(state.touching)
-        state, record, is_minimum = _advance(state, task, G, factorize)
+        state, record, is_minimum = _advance(state, task, factorize)
         history.append(record)
         if len(history) >= 25 and all(one.length < 1e-6 for one in history[-25:]):
             status = "stalled" if has_arrived else "out-of-reach"
             break
     best = finest if np.isfinite(least) and status != "converged" else state
-    return Found(best.touching, best.force, status, max(kkt(best, gradients(best.touching), task)), tuple(history))
+    return Found(best.touching, best.force, status, max(kkt(best, task)), tuple(history))
 
 
 def _next_mu(state: State, task: Task, is_calm: Flags, lift: Array, options: FiniteOptions) -> tuple[Array, Flags]:
@@ -216,28 +207,34 @@ def _reach(options: FiniteOptions, mu: float) -> float:
     return min(options.reach, next(reach for least, reach in _NEARER if mu >= least))
 
 
-def kkt(state: State, G: Array, task: Task) -> tuple[float, float]:
+def kkt(state: State, task: Task) -> tuple[float, float]:
     """Sum of the unbalanced forces over the sum of the loads; sum of force times gap over (links times mean force)."""
-    unbalanced = np.abs(_unbalanced(state, G, task)).sum()
+    unbalanced = np.abs(_unbalanced(state, task)).sum()
     return float(unbalanced / task.load), float((state.force * state.touching.gap).sum() / len(task.linked))
 
 
-def _unbalanced(state: State, G: Array, task: Task) -> Array:
+def _unbalanced(state: State, task: Task) -> Array:
     """Unbalanced forces (u,) on the free motions."""
-    out = spread(state.touching, G, state.force) + task.springs(state.touching.placed, 0.0)[1]
+    out = spread(state.touching, gradients(state.touching), state.force) + task.springs(state.touching.placed, 0.0)[1]
     out[:, :3] += task.force
     return np.asarray(task.motions.T @ out.ravel())
 
 
-def _unbalanced_pairs(state: State, G: Array, task: Task) -> Index:
-    """Rows of the pairs of rings both of which have a tenth or more of the largest unbalanced force."""
-    size = np.abs(task.motions @ _unbalanced(state, G, task)).reshape(-1, BLOCK).max(axis=1)
-    return np.flatnonzero(np.minimum(size[state.touching.a], size[state.touching.b]) > 0.1 * size.max())
+def _with_fixed_points(state: State, task: Task) -> tuple[State, Task]:
+    """The iterate and what is solved with fixed points for pairs of rings both of which have a tenth or more of the
+    largest unbalanced force; these pairs are damped no more. The same ones where no such pair has soft minima."""
+    con, size = state.touching, np.abs(task.motions @ _unbalanced(state, task)).reshape(-1, BLOCK).max(axis=1)
+    more = fixed_points(con, np.flatnonzero(np.minimum(size[con.a], size[con.b]) > 0.1 * size.max()))
+    if not len(more.key):
+        return state, task
+    task = replace(task, points=task.points.join([more]))
+    state = replace(state, local=np.where(np.isin(con.key, more.key), 0.0, state.local))
+    return state.at(task.find(con.placed, con.reach)), task
 
 
-def _advance(state: State, task: Task, G: Array, factorize: Factorizer) -> tuple[State, Record, bool]:
+def _advance(state: State, task: Task, factorize: Factorizer) -> tuple[State, Record, bool]:
     """The next iterate, its record, and whether the matrix was positive definite without damping."""
-    now = Iteration(state, task, G, factorize)
+    now = Iteration(state, task, gradients(state.touching), factorize)
     new, step, length = None, None, 0.0
     for attempt in range(_TRIES + 1):
         step = now.step()

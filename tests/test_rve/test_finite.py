@@ -13,16 +13,9 @@ from rve.common.factor import Factorizer
 from rve.drawn import ALONG
 from rve.finite.equations import METRIC, blocks, gradients, lacking, rows_of, spread
 from rve.finite.newton import Iteration, forces_that_stop
+from rve.finite.passage import is_passage_safe, ways
 from rve.finite.task import State, Task
-from rve.finite.touching import (
-    Placed,
-    find_touching,
-    fixed_points,
-    followed_gaps,
-    is_passage_safe,
-    links_intact,
-    ways,
-)
+from rve.finite.touching import Placed, find_touching, fixed_points, followed_gaps, links_intact
 from rve.finite.walls import wall_derivatives, wall_gaps
 from rve.geometry.circles import tangent_frame
 from rve.geometry.weave import WEAVES
