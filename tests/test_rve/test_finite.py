@@ -530,7 +530,7 @@ def test_fixed_points_of_a_soft_pair_are_as_near_as_its_minima_and_their_gaps_ar
     turn = np.zeros((2, 5))
     turn[1, 4] = turn[1, 3] = 1e-5
     moved = find_touching(placed(tilt).moved(turn), none, wire, 0.1, beside=False, points=points)
-    forecast = fixed.gap + rows_of(fixed, fixed.minima.pair, gradients(fixed)) @ turn.ravel()
+    forecast = fixed.gap + rows_of(fixed, fixed.minima.pair, gradients(fixed)[:, None]) @ turn.ravel()
     assert moved.gap == pytest.approx(forecast, abs=1e-9)  # twice the square of the turn over the distance
 
 
