@@ -43,6 +43,9 @@ MEMORY = 20
 """Rounds before, of whose pressures the next one is mixed so that the changes cancel."""
 IDLE = 25
 """Rounds without a smaller change after which rounds end: the curtain has no rest near the last shapes."""
+DRAG_SETTLED, DRAG_IDLE = 1e-4, 5
+"""What drag along the wind may still turn, over the loads, after so many idle rounds: rigid rings of a gathered sheet
+leave open how far single cells fold, and those take turns at some 1e-5."""
 STRIDES = 40
 """Parts into which a move of bodies is cut while they push nodes along. More follow round bodies better."""
 PACE = 0.5
@@ -72,6 +75,7 @@ def solve_shape(
     begin, scene = time.perf_counter(), problem.scene
     is_steep = any(wind.follows and wind.speed is not None for wind in problem.winds)
     settled, part = (STEEP_SETTLED, STEEP_PART) if is_steep else (SETTLED, 1.0)
+    is_drag = not problem.bodies and not any(wind.follows for wind in problem.winds)
     if is_steep:
         exact = replace(scene.solver, tolerance=min(scene.solver.tolerance, STEEP_TOLERANCE))
         problem = replace(problem, scene=replace(scene, solver=exact))
@@ -93,6 +97,8 @@ def solve_shape(
         turned = _tangents(problem, found.x)
         record = _measure_settling(problem, found, turned, change, settled)
         record = replace(record, rounds=rounds, crossed=watch.deepest)
+        if is_drag and mixer.idle > DRAG_IDLE:
+            record = replace(record, asked=DRAG_SETTLED)
         if record.is_settled or (problem.winds and mixer.idle > IDLE):
             break
         misfits.append(record.misfit)

@@ -107,7 +107,9 @@ def draw_curtain(
         at, force = forces(solution)
         shown = space.arrows(at, frame.arrow * force, LEAST_ARROW * LONGEST * frame.size)
         space.add(plotter, f"{name}, longest {largest:.3g} N", shown, colour)
-    _add_surroundings(plotter, curtain, frame, ground)
+    down = np.abs(solution.problem.scene.load.acceleration)
+    if down[1] == down.max():  # a sheet whose weight acts along z lies level: nobody stands beside it
+        _add_surroundings(plotter, curtain, frame, ground)
     space.look(plotter, direction, box=box_of(np.vstack([frame.around, np.reshape(plotter.renderer.bounds, (3, 2)).T])))
     return plotter
 
