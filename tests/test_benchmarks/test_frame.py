@@ -1,27 +1,10 @@
-"""The frame of the reports: rows become tables, a section takes its place in a page, every section can be run."""
-
-import math
-
-import numpy as np
-import pytest
+"""The frame of the reports: every section can be run, and is made anew where its numerics are not today's."""
 
 import benchmarks.__main__ as command
-from benchmarks.frame import Curve, Diagram, Section, table
+from benchmarks.frame import Section
 from benchmarks.numerics import _read, fingerprint
 
-CURVES = (Curve("first", (1.0, 2.0, 3.0), (1e-3, math.nan, 1e-5)), Curve("second", (1.0, 2.0), (1e-2, 1e-4)))
-DIAGRAM = Diagram("ladder", "Error against time", "time (s)", "error", CURVES)
-SECTION = Section("Rings", "Some *text*.", (table("Runs", [{"method": "a | b", "n": 1234}]),), (DIAGRAM,), "Yes.")
-
-
-def test_rows_make_a_table_with_dashes_for_what_a_failed_run_lacks():
-    rows = [{"method": "a", "error": 0.0, "ok": np.True_, "s": 2.0}, {"method": "b", "_": 0, "_1": 0, "_2": 0, "_3": 0}]
-    made = table("Runs", rows, {"error": "decade 1e-12", "s": ".1f"})
-    assert made.columns == ("method", "error", "ok", "s")
-    assert made.rows == (("a", "<= 1e-12", "yes", "2.0"), ("b", "-", "-", "-"))
-    for rows, forms in (([{"a": 1}, {"b": 2}], {}), ([{"a": 1}], {"b": ".1f"})):
-        with pytest.raises(ValueError, match="no columns \\['b'\\]"):
-            table("Runs", rows, forms)
+SECTION = Section("Rings", "Some *text*.", (), (), "Yes.")
 
 
 def test_every_section_can_be_run_and_its_page_is_there():

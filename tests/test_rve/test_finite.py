@@ -513,15 +513,11 @@ def from_random_starts(seeds):
 
 
 def test_fixed_points_of_a_soft_pair_are_as_near_as_its_minima_and_their_gaps_are_smooth():
-    wire, none = 0.1, np.zeros((0, 2), int)
-
-    def placed(tilt):
-        return Placed(np.array([[0.0, 0, 0], [0, 0, 2 * wire + 2e-3 + 1e-6]]), np.array([[0.0, 0, 1], tilt]))
-
-    tilt = np.array([0.0, np.sin(2e-3), np.cos(2e-3)])
-    con = find_touching(placed(tilt), none, wire, 0.1)
+    wire, none, normal = 0.1, np.zeros((0, 2), int), np.array([[0, 0, 1], [0, np.sin(2e-3), np.cos(2e-3)]])
+    placed = Placed(np.array([[0, 0, 0], [0, 0, 2 * wire + 2e-3 + 1e-6]]), normal)
+    con = find_touching(placed, none, wire, 0.1)
     points = fixed_points(con, np.arange(1))
-    fixed = find_touching(placed(tilt), none, wire, 0.1, beside=False, points=points)
+    fixed = find_touching(placed, none, wire, 0.1, beside=False, points=points)
     assert con.minima.curvature.min() < 1e-2
     assert fixed.fixed.all()
     assert len(fixed.gap) > 5
@@ -529,7 +525,7 @@ def test_fixed_points_of_a_soft_pair_are_as_near_as_its_minima_and_their_gaps_ar
     assert con.deepest[0] <= fixed.gap.min() < 1.1 * con.deepest[0]
     turn = np.zeros((2, 5))
     turn[1, 4] = turn[1, 3] = 1e-5
-    moved = find_touching(placed(tilt).moved(turn), none, wire, 0.1, beside=False, points=points)
+    moved = find_touching(placed.moved(turn), none, wire, 0.1, beside=False, points=points)
     forecast = fixed.gap + rows_of(fixed, fixed.minima.pair, gradients(fixed)[:, None]) @ turn.ravel()
     assert moved.gap == pytest.approx(forecast, abs=1e-9)  # twice the square of the turn over the distance
 
