@@ -116,7 +116,7 @@ def _fail_unless(converged: bool) -> None:
 @click.option("--out", type=PATH, help="Folder for size.json, size.csv and size.png.")
 @click.option("--picture/--no-picture", default=True, help="Draw size.png (needs matplotlib).")
 def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None, picture: bool, **asked: Any) -> None:
-    """The largest pitch, bar, wind or wire of SCENE with which it holds: prints one JSON object.
+    """The largest pitch, bar or wind of SCENE, or the thinnest wire, with which it holds: prints one JSON object.
 
     Exit code 0: found; 2: bad input, or no value holds.
     """

@@ -1,4 +1,4 @@
-"""The largest value of one quantity of a scene at which the curtain holds with a factor that is asked for."""
+"""The largest pitch, bar or wind, or the thinnest wire, with which a curtain holds with a factor that is asked for."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ class Row:
 
 @dataclass(frozen=True)
 class Size:
-    """The largest `value` of what is varied at which the factor is at least the one asked for, and the `curve` of all
-    values that were tried, in order; `note`: why the rings are not judged, None where they are."""
+    """The largest `value` of what is varied, of r2 the least, at which the factor is at least the one asked for, and the
+    `curve` of all values that were tried, in order; `note`: why the rings are not judged, None where they are."""
 
     vary: str
     value: float
@@ -79,7 +79,8 @@ class Size:
 def largest_that_holds(
     scene: Scene, who: MembraneLaw | LawInterval | OnDemand | None, vary: str, ends: tuple[float, float], factor: float
 ) -> Size:
-    """The largest value of `vary` between both `ends` at which the factor of the curtain is at least `factor`.
+    """The largest value of `vary` between both `ends` at which the factor of the curtain is at least `factor`; of r2 the
+    least one, since thicker wire costs more and loads hooks more.
 
     A pitch has only values that divide the edge. The factor is taken to cross `factor` once between two values of the
     first round, which are spread evenly. A value without an answer does not hold. For r2 `who` is an `OnDemand`, of
@@ -103,7 +104,7 @@ def largest_that_holds(
                 rows[value] = _row(scene, who, vary, value)
         return factor / (rows[value].factor or 1e-300)
 
-    best = search(use, values, between=not is_pitch)
+    best = search(use, values[::-1] if vary == "r2" else values, between=not is_pitch)
     if best is None:
         most = max(rows.values(), key=lambda row: row.factor or 0.0)
         why = f"the largest factor is {most.factor:.3g}, at {most.value:g}" if most.factor else most.status
@@ -133,7 +134,7 @@ def search(use: Callable[[float], float], values: Sequence[float], *, between: b
         return values[first[0]]
     low, high = (values[k] for k in first)
     for _ in range(MOST):
-        if use(low) > 1.0 - CLOSE or high - low < CLOSE * (values[-1] - values[0]):
+        if use(low) > 1.0 - CLOSE or abs(high - low) < CLOSE * abs(values[-1] - values[0]):
             break
         # Aimed a little below 1, so that the values that are tried end on the side that holds.
         way = (1.0 - 0.5 * CLOSE - use(low)) / (use(high) - use(low))

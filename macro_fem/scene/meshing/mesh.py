@@ -244,7 +244,7 @@ def _checked_region(outline: Array, holes: list[Array]) -> shapely.Polygon:
             raise ValueError("outline and holes: have two equal corners in a row")
     region = shapely.Polygon(outline, holes)
     if not region.is_valid:
-        raise ValueError(f"outline and holes: {shapely.is_valid_reason(region)}, mm")
+        raise ValueError(f"the outline and its holes bound no region: {shapely.is_valid_reason(region)}, mm")
     if region.area <= 1e-9 * float(np.ptp(outline, axis=0).max()) ** 2:
         raise ValueError("outline: has no area, its corners lie on a line")
     return region
