@@ -50,8 +50,8 @@ class Row:
 
 @dataclass(frozen=True)
 class Size:
-    """The largest `value` of what is varied, of r2 the least, at which the factor is at least the one asked for, and the
-    `curve` of all values that were tried, in order; `note`: why the rings are not judged, None where they are."""
+    """The largest `value` of what is varied, of r2 the least, at which the factor is at least the one asked for; `curve`:
+    all values that were tried, in order; `note`: why the rings are not judged, None where they are."""
 
     vary: str
     value: float
@@ -79,8 +79,8 @@ class Size:
 def largest_that_holds(
     scene: Scene, who: MembraneLaw | LawInterval | OnDemand | None, vary: str, ends: tuple[float, float], factor: float
 ) -> Size:
-    """The largest value of `vary` between both `ends` at which the factor of the curtain is at least `factor`; of r2 the
-    least one, since thicker wire costs more and loads hooks more.
+    """The largest value of `vary` between both `ends` at which the factor of the curtain is at least `factor`; the
+    least one of r2, since thicker wire costs more and loads hooks more.
 
     A pitch has only values that divide the edge. The factor is taken to cross `factor` once between two values of the
     first round, which are spread evenly. A value without an answer does not hold. For r2 `who` is an `OnDemand`, of
