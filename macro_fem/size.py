@@ -50,7 +50,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Size:
-    """The largest `value` of what is varied, of r2 the least, at which the factor is at least the one asked for; `curve`:
+    """The largest `value` of what is varied, of r2 the least, where the factor is at least the one asked for; `curve`:
     all values that were tried, in order; `note`: why the rings are not judged, None where they are."""
 
     vary: str
