@@ -35,7 +35,7 @@ _RANK = 64
 """Largest rank of what is added to a matrix without another factor."""
 _CLOSING = (1.0, 0.75, 0.5)
 """Contacts that close before these parts of a step are stiffened, the fewer the more there are."""
-FINE = 1e-4
+_FINE = 1e-4
 """mu below which single contacts and single rings are to blame for short steps and negative curvature."""
 _LOCAL = 4
 """Times a factor may fail before negative curvature is left out everywhere."""
@@ -196,7 +196,7 @@ class Iteration:
         con, state, felt = self.con, self.state, self._felt
         if state.convex.min() >= 1.0:
             self.state = replace(state, damping=max(1e-3, 5.0 * state.damping))
-        elif state.mu.max() >= FINE or self.failed > _LOCAL or np.mean(state.convex > 0.0) > _MANY:
+        elif state.mu.max() >= _FINE or self.failed > _LOCAL or np.mean(state.convex > 0.0) > _MANY:
             self.state = replace(state, convex=np.minimum(1.0, np.maximum(0.2, 3.0 * state.convex)))
         else:
             near = np.zeros(len(con.placed.x), dtype=bool)
@@ -221,7 +221,7 @@ class Iteration:
             self._turns += 2
             self.state = replace(state, convex=np.ones_like(state.convex))
             return True
-        if state.mu.max() < FINE and not (self.is_moving or tight.any() or (state.local > last.local).any()):
+        if state.mu.max() < _FINE and not (self.is_moving or tight.any() or (state.local > last.local).any()):
             for part in _CLOSING:
                 rows = np.flatnonzero((open_ < part) | (state.extra > last.extra))
                 if len(rows) <= _RANK:

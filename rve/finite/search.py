@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from rve.common import Array, Index
-from rve.finite.newton import FINE, Iteration, Step
+from rve.finite.newton import Iteration, Step
 from rve.finite.passage import is_passage_safe
 from rve.finite.touching import Touching, followed_gaps, links_intact, of_pairs
 
@@ -21,9 +21,6 @@ _FARTHEST = 0.995
 """Part of a gap that the linear forecast of a step may close."""
 _LEAST = 0.002
 """Part of a pair's gap that must be left after a step."""
-_STIFFER, _FINER = (30.0, 5.0), (8.0, 0.1)
-"""By how much more a pair whose gap would close is damped, and by how much at least: while folds form, and below FINE.
-There the first two make steps along a valley 1e-5 r1 long after every failure, from which they grow by 2.5 a time."""
 
 
 def search(now: Iteration, step: Step, *, is_last: bool) -> tuple[Touching | None, float]:
@@ -43,8 +40,7 @@ def search(now: Iteration, step: Step, *, is_last: bool) -> tuple[Touching | Non
             rows = of_pairs(now.con.key, bad)
             local, damping = now.state.local.copy(), now.state.damping
             known = rows[rows >= 0]
-            more, least = _FINER if now.state.mu.max() < FINE else _STIFFER
-            local[known] = np.maximum(more * local[known], least)
+            local[known] = np.maximum(30.0 * local[known], 5.0)
             if len(known) < len(bad) or not len(bad):
                 damping = max(4.0 * damping, 1e-2)
             now.state = replace(now.state, local=local, damping=damping)

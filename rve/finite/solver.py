@@ -49,7 +49,7 @@ in space that makes a tenth to a third fewer iterations than one mu for all."""
 _DITHERS, _BALANCED = 5, 1e-3
 """Iterations at the last mu in which the residual has not fallen after which unbalanced pairs touch at fixed points, if
 it is below the second number."""
-_TRIES = 5
+_TRIES = 3
 """Times a step is damped pair by pair before it is shortened."""
 _NEARER = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))
 """Reach from these mu on, in r1: contacts farther away have next to no force, and cost as much as others."""
