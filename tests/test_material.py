@@ -14,15 +14,7 @@ from rve.cli import main as rve
 TITANIUM = 4506.0  # kg/m3
 B_X, B_Y = 11.0, 12.646069623526  # mm, r1 = 5, r2 = 0.5, DESIGN section 2
 AREAL_MASS = TITANIUM * 2.0 * (2.0 * math.pi**2 * 5.0 * 0.5**2) / (B_X * B_Y) * 1e-3  # kg/m2: two tori in a cell
-SCENE = """
-[curtain]
-width = 300.0
-height = 200.0
-[mesh]
-cells = 4
-[support]
-kind = "top"
-"""
+SCENE = 'curtain = {width = 300.0, height = 200.0}\nmesh = {cells = 4}\nsupport = {kind = "top"}\n'
 
 
 def run(command, *arguments):
