@@ -91,8 +91,9 @@ def rows_from_table(table: StrainTable) -> LockedRows:
         raise InputError("the table has no converged tensile row")
     S, E = table.S[keep] / size[keep, None], table.E[keep]
     key = np.round(np.hstack([S, E]) / ROUNDING).astype(np.int64)
-    first = np.sort(np.unique(key, axis=0, return_index=True)[1])
-    dropped += [f"row {i}: the same load and strain as an earlier row" for i in np.delete(keep, first)]
+    _, index, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    first, earlier = np.sort(index), index[inverse.ravel()]
+    dropped += [f"row {keep[i]}: repeats row {keep[j]}" for i, j in enumerate(earlier) if i != j]
     keep, unique = keep[first], np.asarray(table.unique, bool)[keep[first]]
     h = double_dot(S[first], E[first])
     return LockedRows(S[first], E[first], h, unique, keep, tuple(dropped), table.is_mirrored)
