@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rve.common import SENTENCES, Array, Flags, InputError, NotConverged, part_of, versions
+from rve.common.files import TABLE_FORMAT
 from rve.common.rings import areal_mass
 from rve.common.tensor import double_dot
 from rve.directions import grid
@@ -26,7 +27,7 @@ from rve.geometry.cell import Cell, weave_axes
 from rve.geometry.contacts import unlisted_gap, widened
 from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
 from rve.geometry.pose import Pose, deformation, strain_of, tiled
-from rve.table import TABLE_FORMAT, RowQuality, StrainTable
+from rve.table import RowQuality, StrainTable
 
 BLOCK = 256
 """Cases advanced together: enough to hide the overhead of Python, few enough to stay in the cache."""

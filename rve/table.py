@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common import Array, InputError, Rows, check_belongs, checksum, json_text, require, sidecar_path, write_text
-from rve.common.files import AnyPath, Inputs, check_out_file
+from rve.common import Array, InputError, Rows, atomic_path, check_belongs, checksum, json_text, require, sidecar_path
+from rve.common.files import TABLE_FORMAT, AnyPath, Inputs, check_out_file
 from rve.common.rings import check_rings
 from rve.common.texts import as_html, csv_text, number_column, read_columns, read_json_object
 from rve.geometry.weave import WEAVES
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     from rve.equilibrium.interior_point import LockedStates
 
-TABLE_FORMAT = "ring-mesh strain-load table"
-"""The entry `format` of the sidecar."""
 COLUMNS = ["alpha_deg", "beta_deg", "E11", "E12", "E22", "S11", "S12", "S22"]
 COLUMNS += ["x2_x_mm", "x2_y_mm", "x3_x_mm", "x3_y_mm"]
 COLUMNS += ["R", "min_gap_mm", "contacts", "unique", "status", "iterations"]
@@ -146,7 +144,7 @@ def check_out_table(path: AnyPath, option: str = "--out", inputs: Inputs = ()) -
         raise InputError(f"{option} = {path}: is the name of the table's sidecar file; choose a name such as *.csv")
     inputs = list(inputs)
     check_out_file(path, option, inputs)
-    check_out_file(sidecar, option, inputs)
+    check_out_file(sidecar, option, inputs, is_sidecar=True)
 
 
 def write_table(table: StrainTable, path: AnyPath) -> None:
@@ -160,9 +158,10 @@ def write_table(table: StrainTable, path: AnyPath) -> None:
     numbers = [
         np.where(np.isfinite(one), one.astype(object), "") if one.dtype.kind == "f" else one for one in columns.values()
     ]
-    write_text(target, csv_text([*columns], zip(*(one.tolist() for one in numbers), strict=True)))
-    files = {"files": {target.name: checksum(target)}}
-    write_text(sidecar, json_text({"format": TABLE_FORMAT} | table.provenance | files))
+    with atomic_path(sidecar) as record, atomic_path(target) as rows:  # the sidecar takes its place last
+        rows.write_text(csv_text([*columns], zip(*(one.tolist() for one in numbers), strict=True)), encoding="utf-8")
+        files = {"files": {target.name: checksum(rows)}}
+        record.write_text(json_text({"format": TABLE_FORMAT} | table.provenance | files), encoding="utf-8")
 
 
 def read_table(path: AnyPath) -> StrainTable:

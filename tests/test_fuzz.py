@@ -36,15 +36,13 @@ WORDS += ["1" * 5000, "[" * 3000, '{"a":' * 3000, "a." * 300, "\x00", "\U0001f64
 NUMBER = re.compile(rb"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
 CELL = default_law().cell
 OUTLINE = """
+mesh.cells = 9
+support.kind = "top"
 [curtain]
 shape = "outline"
 outline = [[0, 0], [100, 0], [100, 60], [50, 100], [0, 60]]
 holes = [[[40, 30], [60, 30], [50, 50]]]
 weave_angle = 12.5
-[mesh]
-cells = 9
-[support]
-kind = "top"
 """
 
 

@@ -79,6 +79,7 @@ macro_fem localize curtain --out new --window 5000,5000,6000,6000 -> not one rin
 macro_fem localize curtain --out new --max-rings 3 -> --max-rings
 macro_fem localize nowhere --out new -> nowhere: cannot be read: No such file
 rve table --out /proc/t.csv --alpha 0 --beta 45 -> --out = /proc/t.csv: cannot be written
+homogenize fit table.csv --out other.json -> other.json: is the sidecar file of a table
 """
 ROWS = [line.split(" -> ") for line in REFUSED.strip().splitlines()]
 
@@ -93,6 +94,7 @@ def folder(tmp_path_factory):
     ClothLaw().save(out / "cloth.json")
     for ending in ("csv", "json"):
         shutil.copy(DATA / f"table190.{ending}", out / f"table.{ending}")
+    shutil.copy(out / "table.json", out / "other.json")
     words = ["run", str(out / "scene.toml"), "--out", str(out / "curtain"), "--no-picture"]
     assert CliRunner().invoke(macro_fem.cli.main, words).exit_code == 0
     return out

@@ -32,6 +32,8 @@ AnyPath = str | os.PathLike[str]
 Inputs = Iterable[AnyPath | None]
 Record = Mapping[str, Any]
 
+TABLE_FORMAT = "ring-mesh strain-load table"
+"""The entry `format` of a table's sidecar."""
 HIDDEN = ".part-"
 """Begins the names of temporary files and folders; what a killed process leaves of them may be removed."""
 UNREADABLE = (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
@@ -117,13 +119,30 @@ def sidecar_path(path: AnyPath) -> Path:
     return table.with_suffix(".json") if table.name else table  # "." and "/" have no name to change
 
 
-def check_out_file(path: AnyPath, option: str = "--out", inputs: Inputs = (), endings: tuple[str, ...] = ()) -> None:
+def check_out_file(
+    path: AnyPath,
+    option: str = "--out",
+    inputs: Inputs = (),
+    endings: tuple[str, ...] = (),
+    *,
+    is_sidecar: bool = False,
+) -> None:
     """InputError, before any work, for a file that cannot be written, is one of `inputs` or its sidecar, or whose name
-    has none of the `endings`, where there are any."""
+    has none of the `endings`, where there are any. The sidecar of a table and other JSON do not replace each other."""
     if endings and Path(path).suffix.lower() not in endings:
         raise InputError(f"{option} = {path}: give a name that ends in {' or '.join(filter(None, endings))}")
     with _staging(Path(os.path.realpath(path)).parent, f"{option} = {path}"):
         _check_target(Path(path), option, inputs)
+    if Path(path).suffix == ".json" and Path(path).exists() and _is_sidecar(Path(path)) != is_sidecar:
+        what = "is not that of a table, which would replace it" if is_sidecar else "is the sidecar file of a table"
+        raise InputError(f"{option} = {path}: {what}; choose another name")
+
+
+def _is_sidecar(path: Path) -> bool:
+    try:
+        return bool(json.loads(path.read_text(encoding="utf-8"))["format"] == TABLE_FORMAT)
+    except UNREADABLE:
+        return False
 
 
 def check_out_job(folder: AnyPath, record: str, inputs: Inputs = ()) -> None:

@@ -145,7 +145,7 @@ class FixedPoints(Rows):
         row, rho = row[row >= 0], self.rho[row >= 0]
         a, b = np.divmod(key[row], len(placed.x))
         d, na, nb = placed.x[b] - placed.x[a], placed.normal[a], placed.normal[b]
-        return _from(row, foot_on_circle(rho, na), d, nb)
+        return _touch_at(row, foot_on_circle(rho, na), d, nb)
 
 
 def fixed_points(con: Touching, pairs: Index) -> FixedPoints:
@@ -223,7 +223,7 @@ def _beside_soft(minima: Minima, d: Array, na: Array, nb: Array, wire: float, li
     parts = []
     for sign in (1.0, -1.0):
         rho_a = np.cos(aside)[:, None] * rows.rho_a + sign * np.sin(aside)[:, None] * tau
-        found = _from(rows.pair, rho_a, d[rows.pair], nb[rows.pair])
+        found = _touch_at(rows.pair, rho_a, d[rows.pair], nb[rows.pair])
         parts.append(found.take(found.distance <= limit))
     return parts
 
@@ -236,7 +236,7 @@ def _softness(minima: Minima, wire: float, times: float = NEXT) -> tuple[Flags, 
     return soft, np.sqrt(np.sqrt(stiff * stiff + 4.0 * times * gap) - stiff)
 
 
-def _from(pair: Index, rho_a: Array, d: Array, nb: Array) -> Minima:
+def _touch_at(pair: Index, rho_a: Array, d: Array, nb: Array) -> Minima:
     """Points (m, 3) of ring a, and of ring b those nearest to them, as contacts of the pairs (m,)."""
     rho_b = foot_on_circle(rho_a - d, nb)
     w = d + rho_b - rho_a

@@ -99,8 +99,7 @@ def test_the_search_finds_where_a_falling_factor_crosses(asked):
 
     best = search(use, [0.1, 2.5, 5.0, 7.5, 10.0], between=True)
     assert asked * (1 - 4e-3) < best <= asked
-    wires = [asked * part for part in (2.0, 1.7, 1.3, 0.9, 0.6)]
-    thin = search(lambda value: asked / value, wires, between=True)
+    thin = search(lambda value: asked / value, [asked * part for part in (2.0, 1.7, 1.3, 0.9, 0.6)], between=True)
     assert asked <= thin < asked * (1 + 4e-3)
     values = [0.1 * k for k in range(1, 100)]
     assert search(use, values, between=False) == max(value for value in values if value <= asked)

@@ -151,7 +151,10 @@ def test_a_table_and_its_sidecar_belong_together(tmp_path, table):
     assert read_table(other).beta_deg[0] == 46.0
 
 
-def test_a_table_is_not_its_own_sidecar(tmp_path, table):
+def test_a_table_does_not_overwrite_a_law(tmp_path, table):
+    (tmp_path / "law.json").write_text('{"schema": 1}')
+    with pytest.raises(InputError, match="is not that of a table"):
+        write_table(table, tmp_path / "law.csv")
     with pytest.raises(InputError, match="the name of the table's sidecar"):
         write_table(table, tmp_path / "x.json")
-    assert not list(tmp_path.iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == ["law.json"]

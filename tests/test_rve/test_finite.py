@@ -295,8 +295,7 @@ def slsqp(mesh, force, held, at):
     """The potential in N mm that scipy finds from the slack start under the two lowest gaps of each pair."""
     n, r1 = len(mesh.X), mesh.cell.r1
     centre, normal = mesh.slack()
-    top = held[:, 0]
-    centre += np.where(held, at, centre)[top].mean(axis=0) - centre[top].mean(axis=0)
+    centre += np.where(held, at, centre)[held[:, 0]].mean(axis=0) - centre[held[:, 0]].mean(axis=0)
     start = Placed(centre / r1, normal)
     pairs = [(a, b) for a in range(n) for b in range(a + 1, n)]
     linked = np.array(pairs)
@@ -340,8 +339,7 @@ def test_a_generic_solver_finds_the_same_potential():
     force, held, at = hung(mesh, top_of(mesh))
     solution = mesh.solve(force, held, at, space=False)
     check(solution)
-    scale = np.abs(force).sum() * 5.0
-    assert abs(solution.potential - slsqp(mesh, force, held, at)) < 1e-5 * scale
+    assert abs(solution.potential - slsqp(mesh, force, held, at)) < 1e-5 * np.abs(force).sum() * 5.0
 
 
 def test_supports_out_of_reach_have_no_forces_and_say_how_far_they_are():
@@ -370,7 +368,7 @@ def test_an_impossible_tolerance_stalls_in_bounded_work_at_an_answer_that_is_goo
     found = mesh.solve(*problem, space=False, options=FiniteOptions(tolerance=0.0, patience=6, retries=2))
     assert found.status == "stalled"
     assert found.kkt_residual < 1e-8
-    assert found.iterations < 300  # two lifts, each higher than the one before
+    assert found.iterations < 250  # two lifts, each higher than the one before
     assert found.potential == pytest.approx(mesh.solve(*problem, space=False).potential, rel=1e-6)
     early = mesh.solve(*problem, options=FiniteOptions(max_iterations=3))
     assert (early.status, early.iterations, "more iterations" in early.message) == ("iterations", 3, True)

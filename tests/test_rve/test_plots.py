@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from rve.common.errors import NotConverged
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
-from rve.plots import corner_forces
+from rve.plots import corner_forces, draw_case
 from rve.solve import solve_table
 
 
@@ -25,3 +26,9 @@ def test_forces_on_the_corners_are_the_line_load(table):
     wanted = wanted / np.sqrt(wanted @ [wanted[0], 2.0 * wanted[1], wanted[2]])
     np.testing.assert_allclose([s[0, 0], s[0, 1], s[1, 0], s[1, 1]], wanted[[0, 1, 1, 2]], atol=1e-9)
     np.testing.assert_allclose(force.sum(axis=0), 0.0, atol=1e-12)
+
+
+def test_a_cell_that_does_not_lock_has_no_picture():
+    table = solve_table(Cell(), ([0.0], [100.0]))
+    with pytest.raises(NotConverged, match="compressive"):
+        draw_case(table)

@@ -259,11 +259,7 @@ def test_states_known_before_are_starts():
 
 @pytest.mark.parametrize(
     ("S", "words"),
-    [
-        ([0.3, 0.4, 0.3], "has the eigenvalue -0.1"),
-        ([0.0, 0.0, 0.0], "give a load"),
-        ([1.0, 2.0], "shape"),
-    ],
+    [([0.3, 0.4, 0.3], "has the eigenvalue -0.1"), ([0.0, 0.0, 0.0], "give a load"), ([1.0, 2.0], "shape")],
 )
 def test_loads_that_are_none(S, words):
     with pytest.raises(InputError, match=words):

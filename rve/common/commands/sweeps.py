@@ -23,7 +23,7 @@ from typing import Any
 
 import click
 
-from rve.common.commands.command_line import answer, options, say
+from rve.common.commands.command_line import answer, ending, options, say
 from rve.common.errors import InputError, noted_if_stopped, require
 from rve.common.files import Cache, checksum, versions, write_text
 from rve.common.progress import tell
@@ -67,14 +67,16 @@ def run_item(item: SweepItem) -> Ended:
         with recorded_reads() as read, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
             main = import_module(f"{item.package}.cli").main
             code = main.main(list(item.arguments), prog_name=item.package, standalone_mode=False)
+        folder, names = item.record.parent, [item.record.name, *read_json_object(item.record).get("files", {})]
+        return Ended(code or 0, "", read | {str(folder / name): checksum(folder / name) for name in names})
     except click.Abort:  # what click makes of Ctrl-C outside of a command
         raise KeyboardInterrupt from None
     except click.ClickException as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
             raise error.__cause__ from None
         return Ended(error.exit_code, error.format_message())
-    folder, names = item.record.parent, [item.record.name, *read_json_object(item.record).get("files", {})]
-    return Ended(code or 0, "", read | {str(folder / name): checksum(folder / name) for name in names})
+    except Exception as error:  # after the command, of its record: so whatever else is raised is of the worker itself
+        return Ended(*ending(error))
 
 
 def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1, cluster: str | None = None) -> list[Ended]:
