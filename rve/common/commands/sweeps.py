@@ -75,7 +75,7 @@ def run_item(item: SweepItem) -> Ended:
         if isinstance(error.__cause__, KeyboardInterrupt):
             raise error.__cause__ from None
         return Ended(error.exit_code, error.format_message())
-    except Exception as error:  # after the command, of its record: so whatever else is raised is of the worker itself
+    except (InputError, OSError) as error:  # of its record, after the command
         return Ended(*ending(error))
 
 
