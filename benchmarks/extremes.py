@@ -15,7 +15,7 @@ from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import MembraneLaw
 from macro_fem.curtain import solve_scene
 from macro_fem.fem.hung_law import HungLaw
-from macro_fem.scene.schema import read_scene
+from macro_fem.scene.scene import read_scene
 from rve.common.errors import InputError
 from rve.directions import product
 from rve.equilibrium.system import Equations

@@ -10,7 +10,7 @@ from benchmarks.measure import Row
 from benchmarks.problems import square
 from homogenize import default_law
 from macro_fem.curtain import solve_scene
-from macro_fem.scene.schema import read_scene
+from macro_fem.scene.scene import read_scene
 
 QUICK, FULL = (16, 28, 50, 90), (16, 28, 50, 90, 160)
 """Cells along the width."""

@@ -20,7 +20,7 @@ from macro_fem.job import solve
 from macro_fem.output.strength import summary, utilisation
 from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import CurtainMesh, refine
-from macro_fem.scene.schema import Scene, load_scene
+from macro_fem.scene.scene import Scene, load_scene
 from macro_fem.solution import CurtainSolution
 from rve.common.tensor import trace
 

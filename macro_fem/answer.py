@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from homogenize import MembraneLaw, default_law, load_law
 from macro_fem.output.forces import support_rows
 from macro_fem.output.pictures import Pictures
-from macro_fem.scene.schema import Scene, load_scene
+from macro_fem.scene.scene import Scene, load_scene
 from macro_fem.solvers.status import Status
 from rve.common import as_html, check_out_job, csv_text, job, require, write_text
 

@@ -65,7 +65,7 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
     """
     from macro_fem.demand.options import ring_options
     from macro_fem.job import run_scene
-    from macro_fem.scene.schema import load_scene
+    from macro_fem.scene.scene import load_scene
     from macro_fem.told import curtain_lines, default_law_lines, motion_lines
 
     files = {name: more.pop(name) for name in ("picture", "animation", "html", "report", "dxf")}
@@ -123,7 +123,7 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
     from homogenize import interval_or_law
     from macro_fem.demand.options import ring_options
     from macro_fem.output.pictures import Pictures
-    from macro_fem.scene.schema import load_scene
+    from macro_fem.scene.scene import load_scene
     from macro_fem.size import largest_that_holds
 
     if out is not None:
@@ -218,7 +218,7 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animatio
     """
     from macro_fem.job import run_rings
     from macro_fem.motion.files import run_motion
-    from macro_fem.scene.schema import load_scene
+    from macro_fem.scene.scene import load_scene
     from macro_fem.told import default_law_lines, every_ring_lines, motion_lines
 
     say(*default_law_lines(law_path))
@@ -248,7 +248,7 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: str, out: Pa
     """
     from homogenize import load_law
     from macro_fem.job import compare as solve_both
-    from macro_fem.scene.schema import load_scene
+    from macro_fem.scene.scene import load_scene
     from macro_fem.told import default_law_lines, side_by_side
 
     if out is not None:

@@ -11,7 +11,7 @@ from homogenize import MembraneLaw, with_material
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.problem import CurtainProblem, gathered_start, make_problem, stabilising_tension, unit_tensors
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.schema import Scene
+from macro_fem.scene.scene import Scene
 from macro_fem.scene.supports import told
 from macro_fem.shape_loop import solve_shape
 from macro_fem.solution import CurtainSolution, InnerForces, slackened

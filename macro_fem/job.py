@@ -29,7 +29,7 @@ from macro_fem.scene.checks import check_bounds, check_scene, check_sizes
 from macro_fem.scene.loads import areal_mass
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.moving import scaled
-from macro_fem.scene.schema import Scene, load_scene
+from macro_fem.scene.scene import Scene, load_scene
 from macro_fem.scene.tables import Combination, LiveLoad
 from macro_fem.solution import CurtainSolution
 from rve import Cell, FiniteOptions

@@ -14,7 +14,7 @@ from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.loads import nodal_forces, wind_per_area
 from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.obstacles import Body, Box, PlacedObstacle
-from macro_fem.scene.schema import Scene
+from macro_fem.scene.scene import Scene
 from macro_fem.scene.supports import Supports, build_supports, pin_sliding, told
 from macro_fem.scene.tables import Wind
 from macro_fem.solvers.cones import Cones

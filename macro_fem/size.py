@@ -12,7 +12,7 @@ import numpy as np
 from homogenize import LawInterval, MembraneLaw, fit
 from macro_fem.demand.options import OnDemand
 from macro_fem.job import solve
-from macro_fem.scene.schema import Scene
+from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import Rectangle
 from macro_fem.scene.tables import Bar, Item, Wind
 from rve import solve_table, with_rings

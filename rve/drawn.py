@@ -17,8 +17,8 @@ from rve.common.drawing.space import BODY, BODY_OPACITY, THREE_QUARTERS, add, ba
 from rve.common.meshes import write_mesh_file
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
-from rve.geometry.circles import tangent_frame
 from rve.geometry.pose import Pose
+from rve.geometry.ring_pair import tangent_frame
 from rve.solve import reference_pose
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from homogenize.laws.cloth import ClothLaw
 from homogenize.laws.net import ring_net
 from macro_fem.rings.curtain import read_curtain
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.schema import load_scene
+from macro_fem.scene.scene import load_scene
 from rve.common.errors import InputError
 from rve.common.texts import numbers_of
 from rve.directions import parse_angles, read_loads

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import macro_fem
-import macro_fem.scene.schema  # whose import makes all kinds known
+import macro_fem.scene.scene  # whose import makes all kinds known
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.obstacles import Obstacle
 from macro_fem.scene.shapes import Shape

@@ -16,7 +16,7 @@ from homogenize import default_law
 from macro_fem import read_scene
 from macro_fem.job import solve
 from macro_fem.rings.ring_scene import ring_scene
-from macro_fem.scene.schema import Scene
+from macro_fem.scene.scene import Scene
 from rve import FiniteSolution
 
 Array = NDArray[np.float64]

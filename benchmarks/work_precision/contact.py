@@ -12,7 +12,7 @@ from benchmarks.every_ring.brute import Array, frames, minima, to_circle
 from benchmarks.frame import Diagram, Section, curves, table
 from benchmarks.measure import Row, count_of, decade, ladder
 from rve.common.records import Rows
-from rve.geometry.circles import are_linked, foot_on_circle, local_minima
+from rve.geometry.ring_pair import are_linked, foot_on_circle, local_minima
 
 REACH = 1.0
 SAME = 0.1
@@ -106,7 +106,7 @@ golden_section = partial(brute_force, samples=4096, rounds=45)
 
 
 def newton(pairs: Pairs, samples: int = 48) -> Found:
-    """`rve.geometry.circles.local_minima`, the default."""
+    """`rve.geometry.ring_pair.local_minima`, the default."""
     found = local_minima(pairs.d, pairs.n_a, pairs.n_b, reach=REACH, samples=samples)
     return Found(found.pair, found.rho_a, found.distance)
 
@@ -199,7 +199,7 @@ def degenerate_rows() -> list[Row]:
 
 
 TEXT = f"""Rings as circles of radius 1. A contact search has to find **every** local minimum of the distance below
-{REACH:g}: linked rings touch in two places. Newton (`rve.geometry.circles`, the default) samples ring A and refines
+{REACH:g}: linked rings touch in two places. Newton (`rve.geometry.ring_pair`, the default) samples ring A and refines
 each valley; alternating projection is the paper's, from two starts; brute force takes the lowest samples."""
 
 

@@ -21,7 +21,7 @@ from homogenize.laws.net import diagonal_net
 from homogenize.laws.protocol import MembraneLaw
 from macro_fem.bounds.interval import Level, levels
 from macro_fem.curtain import solve_scene
-from macro_fem.scene.schema import Scene, read_scene
+from macro_fem.scene.scene import Scene, read_scene
 
 NET_MEAN_HEIGHT = 14.187635
 FLOOR = 1e-9

@@ -24,7 +24,7 @@ from macro_fem.demand.directions import first_directions, rounded
 from macro_fem.demand.loop import solve_on_demand
 from macro_fem.demand.rings import Rings
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.schema import Scene, read_scene
+from macro_fem.scene.scene import Scene, read_scene
 from macro_fem.solution import CurtainSolution
 from rve import Cell, solve_table, support
 from rve.common import Array

@@ -32,7 +32,7 @@ from macro_fem.fem.supported import SupportedFem
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import disk_areas, weight_per_area, wind_per_area
 from macro_fem.scene.meshing.mesh import CurtainMesh
-from macro_fem.scene.schema import Scene
+from macro_fem.scene.scene import Scene
 from macro_fem.scene.sites import Sliding, sliding_nodes
 from macro_fem.scene.supports import Supports, pin_sliding, straight_ties
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind

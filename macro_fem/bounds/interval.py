@@ -28,7 +28,7 @@ from macro_fem.fem.discretization import reference_shapes
 from macro_fem.fem.hung_law import largest_stretch
 from macro_fem.problem import CurtainProblem, make_problem
 from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
-from macro_fem.scene.schema import Scene
+from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution, slackened
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import take_from

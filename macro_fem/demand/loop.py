@@ -24,7 +24,7 @@ from macro_fem.demand.directions import between, first_directions, widest
 from macro_fem.demand.options import ACCURACY
 from macro_fem.demand.rings import GAIN, Rings
 from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
-from macro_fem.scene.schema import Scene
+from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution
 from rve import Cell
 from rve.common import NO_CACHE, Array, Cache, InputError, part_of

@@ -34,7 +34,7 @@ from macro_fem.output.space_view import Titled, drawn, save_panels
 from macro_fem.problem import CurtainProblem, make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import Sphere
-from macro_fem.scene.schema import Scene
+from macro_fem.scene.scene import Scene
 from macro_fem.scene.sites import Support
 from macro_fem.scene.tables import Item
 from macro_fem.solution import CurtainSolution, InnerForces

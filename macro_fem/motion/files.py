@@ -22,7 +22,7 @@ from macro_fem.motion.step import Account, Moment
 from macro_fem.output.files import collection
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.every_ring import EveryRing
-from macro_fem.scene.schema import Scene
+from macro_fem.scene.scene import Scene
 from rve.common import Array, InputError, check_belongs, csv_text, read_json_object, tell
 from rve.common.drawing.page import write_moments
 from rve.common.drawing.space import save_animation

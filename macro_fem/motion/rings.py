@@ -20,7 +20,7 @@ from macro_fem.motion.step import Account, Forces, Moment, Worked, difference, n
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
 from macro_fem.scene.loads import PER_MM2, areal_mass
-from macro_fem.scene.schema import Scene
+from macro_fem.scene.scene import Scene
 from rve import FiniteOptions, FiniteSolution, HalfSpace, RoundBody, ring_places, slack_rings, step_rings, with_bodies
 from rve.common import Array, InputError, NotConverged
 from rve.common.drawing.plane import new_figure, save_figure

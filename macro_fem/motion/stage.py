@@ -16,7 +16,7 @@ from macro_fem.problem import CurtainProblem, placed_obstacles, tangent_walls, t
 from macro_fem.scene.loads import BREEZE, PER_MM2, areal_mass, bar_masses, breeze, nodal_forces
 from macro_fem.scene.moving import Ball, at_time
 from macro_fem.scene.obstacles import unit
-from macro_fem.scene.schema import Scene
+from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Timed, Wind
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.cones import green_strain

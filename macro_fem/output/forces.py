@@ -10,7 +10,7 @@ import numpy as np
 
 from macro_fem.fem.cells import padded
 from macro_fem.problem import CurtainProblem
-from macro_fem.scene.schema import Scene
+from macro_fem.scene.scene import Scene
 from macro_fem.scene.sites import point_node
 from macro_fem.scene.tables import PatchLoad, PointLoad, in_3d
 from macro_fem.solution import CurtainSolution

@@ -13,7 +13,7 @@ from macro_fem.output import strength
 from macro_fem.output.files import corner_positions
 from macro_fem.output.forces import LOAD, point_loads
 from macro_fem.output.space_view import LONGEST, Titled, draw_curtain, drawn, line_load_scale, save_panels, title
-from macro_fem.scene.schema import Scene
+from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError, check_out_file, require
 from rve.common.drawing import space

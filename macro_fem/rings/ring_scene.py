@@ -20,7 +20,7 @@ from macro_fem.scene.checks import check_sizes
 from macro_fem.scene.loads import PER_MM2, areal_mass, bar_masses, breeze, nodal_forces, weight_per_area, wind_per_area
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import Body
-from macro_fem.scene.schema import Scene
+from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.sites import Sliding, edge_nodes
 from macro_fem.scene.supports import build_supports, pin_sliding, told

@@ -18,7 +18,7 @@ from rve.common import InputError
 from rve.common.typed import BadField
 
 if TYPE_CHECKING:
-    from macro_fem.scene.schema import Scene
+    from macro_fem.scene.scene import Scene
 
 
 def check_scene(scene: Scene) -> None:

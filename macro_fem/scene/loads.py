@@ -23,7 +23,7 @@ from macro_fem.fem.cells import cross
 from macro_fem.fem.discretization import ELEMENTS, Discretization
 from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.obstacles import unit
-from macro_fem.scene.schema import Scene
+from macro_fem.scene.scene import Scene
 from macro_fem.scene.sites import point_node
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
 from rve import cell_of_sides

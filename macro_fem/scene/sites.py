@@ -21,7 +21,7 @@ from rve.common import Array, InputError
 
 if TYPE_CHECKING:
     from macro_fem.scene.meshing.mesh import CurtainMesh
-    from macro_fem.scene.schema import Scene
+    from macro_fem.scene.scene import Scene
 
 NONE = np.zeros(0, np.int64)
 PARALLEL = 1e-9

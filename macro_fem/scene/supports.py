@@ -12,7 +12,7 @@ from macro_fem.fem.cells import cross, in_space_of
 from macro_fem.fem.discretization import Discretization
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.meshing.mesh import CurtainMesh, components
-from macro_fem.scene.schema import Scene
+from macro_fem.scene.scene import Scene
 from macro_fem.scene.sites import Held, Site, Sliding, edge_nodes, sliding_nodes, sloping, unit_direction
 from macro_fem.scene.tables import Bar
 from rve.common import Array, InputError

@@ -17,9 +17,9 @@ from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.interior_point import Equilibrium
 from rve.equilibrium.limits import SOFT, TOUCHING, shortest, touching
 from rve.equilibrium.system import Equations
-from rve.geometry.circles import cross, dot, tangent_frame
 from rve.geometry.kinematics import lattice_strain, second_pk
 from rve.geometry.pose import deformation
+from rve.geometry.ring_pair import cross, dot, tangent_frame
 from rve.ring.kernels import flexibility
 from rve.ring.section import Ring
 from rve.ring.strength import largest_factors, peak_stress, relative_moments

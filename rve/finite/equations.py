@@ -14,8 +14,8 @@ from rve.common import Array, Index
 from rve.finite.task import BLOCK
 from rve.finite.touching import Touching
 from rve.finite.walls import wall_derivatives
-from rve.geometry.circles import tangent_frame
 from rve.geometry.contacts import distance_gradient, distance_hessian
+from rve.geometry.ring_pair import tangent_frame
 
 PAIR = 7
 METRIC = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.5])

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from rve.common import Array
 from rve.finite.touching import Touching, of_pairs
-from rve.geometry.circles import cross, dot, norm, rotation
+from rve.geometry.ring_pair import cross, dot, norm, rotation
 
 
 def ways(con: Touching, q: Array) -> Array:

@@ -30,7 +30,7 @@ from rve.finite.task import FiniteOptions, Found, Record, RingInertia, Task
 from rve.finite.touching import Touching, find_touching, nearest, of_pairs
 from rve.finite.walls import HalfSpace, Obstacle, RoundBody, flat
 from rve.geometry.cell import Cell
-from rve.geometry.circles import cross, rotation
+from rve.geometry.ring_pair import cross, rotation
 
 STEP = tuple(
     FiniteOptions(tolerance=1e-10, retries=0, max_iterations=100, first=first, last=last)

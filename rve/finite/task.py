@@ -10,7 +10,7 @@ from scipy import sparse
 
 from rve.common import Array, Index
 from rve.finite.touching import NOWHERE, FixedPoints, Placed, Touching, find_touching, handed_on, of_pairs
-from rve.geometry.circles import cross, dot, tangent_frame
+from rve.geometry.ring_pair import cross, dot, tangent_frame
 
 BLOCK = 5
 """Unknowns of a ring: its centre (3) and two tilts about the axes of its tangent frame."""

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from rve.common import Array, Flags, Index, Rows
 from rve.finite.walls import wall_gaps
-from rve.geometry.circles import (
+from rve.geometry.ring_pair import (
     Minima,
     are_linked,
     cross,

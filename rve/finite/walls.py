@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rve.common import Array, InputError
-from rve.geometry.circles import cross, dot, tangent_frame
+from rve.geometry.ring_pair import cross, dot, tangent_frame
 
 Row = tuple[Array, Array, float]
 """Point (3,) in mm, unit normal (3,) and radius in mm of a row of `Placed`."""

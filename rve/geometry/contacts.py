@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common import Array, Flags, Index, Rows
-from rve.geometry.circles import Minima, are_linked, cross, dot, foot_on_circle, local_minima, norm
 from rve.geometry.pose import Pose, pair_geometry
+from rve.geometry.ring_pair import Minima, are_linked, cross, dot, foot_on_circle, local_minima, norm
 from rve.geometry.weave import Weave
 
 SLOTS = 2  # minima kept per pair of rings, the lowest two: linked rings have no more

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rve.common import Array, Index, Rows
-from rve.geometry.circles import tangent_frame, turned
 from rve.geometry.kinematics import green_lagrange
+from rve.geometry.ring_pair import tangent_frame, turned
 from rve.geometry.weave import Weave
 
 

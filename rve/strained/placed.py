@@ -9,8 +9,8 @@ import numpy as np
 
 from rve.common import Array, Flags, Index
 from rve.geometry.cell import Cell
-from rve.geometry.circles import are_linked, dot, local_minima
 from rve.geometry.pose import Pose, start_pose
+from rve.geometry.ring_pair import are_linked, dot, local_minima
 from rve.geometry.weave import Weave
 
 _CHUNK = 100_000

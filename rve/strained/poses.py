@@ -26,10 +26,10 @@ from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.system import Equations, add_lattice_curvature
 from rve.geometry.cell import Cell, weave_sides
-from rve.geometry.circles import cross, dot, tangent_frame
 from rve.geometry.contacts import find_contacts
 from rve.geometry.kinematics import lattice_strain
 from rve.geometry.pose import Pose, mirrored
+from rve.geometry.ring_pair import cross, dot, tangent_frame
 from rve.solve import locked_block, reference_sides
 from rve.strained.placed import shares
 

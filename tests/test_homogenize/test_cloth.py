@@ -7,7 +7,7 @@ import pytest
 
 from homogenize import ClothLaw, load_law
 from macro_fem.curtain import solve_scene
-from macro_fem.scene.schema import read_scene
+from macro_fem.scene.scene import read_scene
 from rve.common.errors import InputError
 from rve.common.tensor import double_dot, trace
 

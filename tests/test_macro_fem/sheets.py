@@ -7,7 +7,7 @@ from homogenize import default_law
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.schema import read_scene
+from macro_fem.scene.scene import read_scene
 
 
 def sheet(width, height, cells, support, mesh=(), load=(), solver=(), **curtain):

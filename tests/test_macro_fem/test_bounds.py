@@ -11,7 +11,7 @@ from macro_fem.bounds.interval import bound, levels, mark
 from macro_fem.curtain import solve_scene
 from macro_fem.fem.assembly import gradient, internal_force
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.schema import read_scene
+from macro_fem.scene.scene import read_scene
 from tests.test_macro_fem.sheets import sheet
 
 NET_MEAN_HEIGHT = 14.187635  # 40 x 40 net square, top gathered to 70 %, DESIGN section 6

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 import macro_fem
 from macro_fem.bounds.interval import bound, levels
 from macro_fem.curtain import solve_scene
-from macro_fem.scene.schema import read_scene
+from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.path import PathOptions
 from rve import Cell
 from rve.common.errors import InputError

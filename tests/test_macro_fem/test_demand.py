@@ -25,7 +25,7 @@ from macro_fem.job import solve
 from macro_fem.output.strength import MEANING, summary
 from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.schema import read_scene
+from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.cones import least_slack
 from rve import WEAVES, Cell
 from rve.common import NO_CACHE, Cache

@@ -7,7 +7,7 @@ from homogenize import default_law, ring_net
 from macro_fem.curtain import solve_problem, solve_scene
 from macro_fem.elastic_forces import NOT_UNIQUE, forces_note, self_balanced
 from macro_fem.job import solve
-from macro_fem.scene.schema import read_scene
+from macro_fem.scene.scene import read_scene
 
 WIDTH, HEIGHT = 80.0, 60.0
 

@@ -13,7 +13,7 @@ from macro_fem.curtain import solve_scene
 from macro_fem.motion.stage import scene_at
 from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.schema import load_scene, read_scene
+from macro_fem.scene.scene import load_scene, read_scene
 from tests.test_macro_fem.sheets import least_angle, sheet
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.toml"))

@@ -11,7 +11,7 @@ from macro_fem.drag import wind_density
 from macro_fem.fem.assembly import load_vector
 from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.schema import read_scene
+from macro_fem.scene.scene import read_scene
 from macro_fem.scene.sites import Sliding
 from macro_fem.scene.supports import Supports
 from rve.common.errors import InputError

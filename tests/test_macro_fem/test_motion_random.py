@@ -12,7 +12,7 @@ from macro_fem.motion.curtain import MovingCurtain
 from macro_fem.motion.files import account_error
 from macro_fem.motion.stage import Contacts
 from macro_fem.scene.moving import Ball
-from macro_fem.scene.schema import read_scene
+from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.cones import green_strain
 
 LAW = default_law()

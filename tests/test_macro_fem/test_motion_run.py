@@ -24,7 +24,7 @@ from macro_fem.motion.step import Moment, kinetic_energy
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.loads import wind_pressure
 from macro_fem.scene.moving import Ball
-from macro_fem.scene.schema import read_scene
+from macro_fem.scene.scene import read_scene
 from rve.common.errors import InputError
 
 G = 9810.0

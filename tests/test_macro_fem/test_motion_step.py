@@ -23,7 +23,7 @@ from macro_fem.motion.step import (
     support_forces,
 )
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.schema import read_scene
+from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.cones import green_strain
 from macro_fem.solvers.path import Inertia
 from macro_fem.solvers.walls import WallRows, Walls

@@ -8,7 +8,7 @@ from macro_fem.curtain import solve_problem
 from macro_fem.job import solve
 from macro_fem.output.forces import obstacle_forces, pushes_of
 from macro_fem.scene.obstacles import Obstacle, PlacedObstacle
-from macro_fem.scene.schema import read_records, read_scene
+from macro_fem.scene.scene import read_records, read_scene
 from macro_fem.shape_loop import solve_shape
 from rve.common.errors import InputError
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel

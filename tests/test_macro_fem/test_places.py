@@ -23,8 +23,8 @@ from macro_fem.problem import make_problem
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.loads import disk_areas
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.meshing.places import LEAST_SINE
-from macro_fem.scene.schema import read_scene
+from macro_fem.scene.meshing.nodes import LEAST_SINE
+from macro_fem.scene.scene import read_scene
 from rve.common.errors import InputError
 from tests.test_macro_fem.sheets import least_angle
 

@@ -15,7 +15,7 @@ from macro_fem.curtain import solve_scene
 from macro_fem.job import compare, solve
 from macro_fem.output.files import features
 from macro_fem.problem import gathered_start
-from macro_fem.scene.schema import load_scene, read_scene
+from macro_fem.scene.scene import load_scene, read_scene
 from macro_fem.scene.tables import HeldAxes
 from macro_fem.solvers.cones import green_strain
 from macro_fem.solvers.status import load_scale

@@ -10,7 +10,7 @@ from homogenize.laws.net import ring_net
 from homogenize.laws.protocol import CellInfo
 from macro_fem.curtain import solve_scene, supports_reach
 from macro_fem.problem import gathered_start
-from macro_fem.scene.schema import read_scene
+from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.status import AT_LIMIT, FREE, Evidence, Reach, judged
 from macro_fem.solvers.stretch_limit import reach_of

@@ -12,7 +12,7 @@ from macro_fem.job import solve
 from macro_fem.output.files import summarize, write_vtu
 from macro_fem.output.strength import critical_load, summary, utilisation
 from macro_fem.output.weakest import holds_line
-from macro_fem.scene.schema import read_scene
+from macro_fem.scene.scene import read_scene
 from rve import Cell, named_material, pulled_ring, solve_table, with_rings
 from rve.common.errors import InputError
 from rve.common.meshes import read_mesh_file

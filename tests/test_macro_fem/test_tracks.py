@@ -8,7 +8,7 @@ import pytest
 from macro_fem.bounds.interval import bound
 from macro_fem.curtain import solve_scene
 from macro_fem.scene.meshing.edges import Line
-from macro_fem.scene.schema import read_scene
+from macro_fem.scene.scene import read_scene
 from macro_fem.scene.support_kinds import Track
 
 from .conftest import STRETCH_X

@@ -11,7 +11,7 @@ from macro_fem.curtain import solve_convex, solve_problem
 from macro_fem.drag import layers_of, senses, vector_areas, wind_density, wind_summary
 from macro_fem.fem.assembly import gradient
 from macro_fem.scene.loads import drag_coefficient, ring_solidity
-from macro_fem.scene.schema import read_scene
+from macro_fem.scene.scene import read_scene
 from macro_fem.shape_loop import solve_shape
 from rve.common.errors import InputError
 from tests.test_macro_fem.sheets import posed, sheet

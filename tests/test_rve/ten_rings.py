@@ -18,8 +18,8 @@ from scipy.linalg import eigh, null_space, solve_triangular
 from scipy.optimize import nnls
 
 from rve.common import Array
-from rve.geometry.circles import Minima, are_linked, local_minima
 from rve.geometry.contacts import distance_gradient, distance_hessian
+from rve.geometry.ring_pair import Minima, are_linked, local_minima
 from rve.geometry.weave import FOUR_IN_ONE
 from rve.paper.dynamics import StewartTrinkleOptions
 from rve.paper.stewart_trinkle import ROUND_OFF

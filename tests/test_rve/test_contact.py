@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rve.geometry.circles import are_linked, foot_on_circle, local_minima, tangent_frame
 from rve.geometry.contacts import distance_gradient, distance_hessian
+from rve.geometry.ring_pair import are_linked, foot_on_circle, local_minima, tangent_frame
 
 
 def unit(x):
@@ -58,7 +58,7 @@ def test_minima_in_basins_narrower_than_the_samples_are_found(monkeypatch):
     truth = counts(1536)
     np.testing.assert_array_equal(counts(48), truth)
     empty = np.zeros(0, int), np.zeros(0)
-    monkeypatch.setattr("rve.geometry.circles._shoulders", lambda *_: empty)
+    monkeypatch.setattr("rve.geometry.ring_pair._shoulders", lambda *_: empty)
     assert (counts(48) < truth).any()
 
 

@@ -263,7 +263,7 @@ def test_merging_contacts_need_both_twins(monkeypatch):
     equations = Equations.of(FOUR_IN_ONE, 0.1)
     once = DirectOptions(attempts=1, max_iterations=75)
     assert (solve_equilibrium(s, equations, once).status == "converged").all()
-    monkeypatch.setattr("rve.geometry.circles._with_twins", lambda found, *rest: found)
+    monkeypatch.setattr("rve.geometry.ring_pair._with_twins", lambda found, *rest: found)
     assert (solve_equilibrium(s, equations, once).status == "stalled").sum() > 10
 
 

@@ -17,7 +17,7 @@ from rve.finite.passage import is_passage_safe, ways
 from rve.finite.task import State, Task
 from rve.finite.touching import Placed, find_touching, fixed_points, followed_gaps, links_intact
 from rve.finite.walls import wall_derivatives, wall_gaps
-from rve.geometry.circles import tangent_frame
+from rve.geometry.ring_pair import tangent_frame
 from rve.geometry.weave import WEAVES
 
 G = 9.81

@@ -243,7 +243,7 @@ def test_a_stated_angle_stands_for_its_mirror_image():
 
 def test_joints_are_where_they_are_said_to_be():
     """The point of each ring at the angle of its joint, in space: 0 is farthest along the grain, 90 to the left."""
-    from rve.geometry.circles import tangent_frame
+    from rve.geometry.ring_pair import tangent_frame
 
     s = cauchy_line_load([20.0], [30.0])
     found = solve_equilibrium(s, EQUATIONS, DirectOptions())

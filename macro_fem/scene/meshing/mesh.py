@@ -19,8 +19,8 @@ from homogenize import CellInfo
 from macro_fem.fem.cells import counterclockwise, triangle_areas
 from macro_fem.scene.meshing.edges import inherited_edges, named_edges, paths
 from macro_fem.scene.meshing.mesh_files import cut_in_four, read_mesh
-from macro_fem.scene.meshing.places import with_nodes_at
-from macro_fem.scene.schema import Scene
+from macro_fem.scene.meshing.nodes import with_nodes_at
+from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.sites import Hanging
 from macro_fem.scene.tables import PatchLoad, Vector

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import counterclockwise, cross, signed_areas
 from macro_fem.scene.meshing.edges import boundary_loops, facets_between, named_edges
-from macro_fem.scene.meshing.places import least_sine
+from macro_fem.scene.meshing.nodes import least_sine
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import MOST_MM
 from rve.common import Array, InputError, atomic_path, require, shown
