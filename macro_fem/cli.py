@@ -81,8 +81,8 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
 
         if asked is not None:
             raise InputError("--table and --rings: a curtain in motion takes a law, by --law")
-        if any([files.pop("report"), files.pop("dxf")]):
-            raise InputError("--report and --dxf: are for a curtain at rest; leave them out for a scene with [motion]")
+        if any([explain, files.pop("report"), files.pop("dxf")]):
+            raise InputError("--explain, --report and --dxf: are for a curtain at rest, not for a scene with [motion]")
         say(*default_law_lines(law_path))
         summary = run_motion(scene, law_path, out, goes_on=goes_on, **files)
         say(*motion_lines(summary, out))

@@ -58,8 +58,6 @@ def solve(scene: Scene, who: Who = None) -> Solution:
     if scene.motion is not None:
         raise InputError(f"{scene.source}: [motion]: is for a curtain over time, use macro_fem run or MovingCurtain")
     if isinstance(who, EveryRing):
-        if scene.combination:
-            raise InputError(f"{scene.source}: [combination]: is for a curtain by a law; every ring bears its loads")
         return solve_every_ring(scene, who)
     answer = _on_demand(scene, who) if isinstance(who, OnDemand) else solve_membrane(scene, who)
     others, cell, count = [], answer.solution.problem.law.cell, len(scene.combination)
@@ -101,6 +99,8 @@ def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -
 
 def solve_every_ring(scene: Scene, who: EveryRing) -> EveryRingSolution:
     """`solve` with every ring as a rigid body, from the start that is asked for."""
+    if scene.combination:
+        raise InputError(f"{scene.source}: [combination]: is for a curtain by a law; every ring bears its loads")
     rings = ring_scene(scene, who.rings)
     disk = None
     if who.start == "disk":

@@ -188,6 +188,8 @@ class Mover(ABC, Generic[F, A]):
         begin, kept = time.perf_counter(), list[F]()
         status: End = "converged"
         message = "every step is solved"
+        if late := [one for one in self.scene.support if (one.release or 0.0) >= self.motion.duration]:
+            message += f"; {late[0].where} release = {late[0].release:g}: is not reached"
         try:
             for frame in self.frames(start):
                 kept.append(frame)

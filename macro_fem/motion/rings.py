@@ -87,13 +87,12 @@ class MovingRings(Mover[RingFrame, RingScene]):
         return slack_rings(self.first.mesh, space=self.who.space)
 
     def first_frame(self) -> RingFrame:
-        if self.motion.start == "reference":
+        start, is_hung = self.who.start, self.motion.start == "hung"
+        if start == "disk" or (start == "motion" and not is_hung):
+            raise InputError(f"{self.scene.source}: --start {start}: is for rings at rest; begin from the slack weave")
+        if not is_hung:
             return self.frame_of(self._slack())
-        if self.who.start == "disk":
-            raise InputError(
-                f"{self.scene.source}: --start disk: is for rings at rest; a motion starts from the slack weave"
-            )
-        by_motion = FiniteOptions(by_motion=self.who.start == "motion")
+        by_motion = FiniteOptions(by_motion=start == "motion")
         found = self.first.solve(space=self.who.space, options=by_motion)
         if found.status != "converged":
             raise NotConverged(f"{self.scene.source}: the rings at rest at t = 0 are {found.status}: {found.message}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import fields
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from macro_fem.scene.scene import Scene
 
 
+OF_HOOKS, OF_REST = ("capacity", "rings_per_hook"), ("tolerance", "max_iterations", "stabilising_tension")
+"""Keys that a curtain in motion does not read: of what holds and loads points, and of how it is solved at rest."""
+
+
 def check_scene(scene: Scene) -> None:
     """InputError for records that contradict each other, and for keys that change nothing."""
     for what in _contradictions(scene):
@@ -32,6 +36,7 @@ def _contradictions(scene: Scene) -> Iterator[str]:
     yield from _over_time(scene)
     yield from _of_combinations(scene)
     shape, pattern, steps = scene.curtain, scene.mesh.pattern, scene.load.steps
+    is_hung = scene.motion is None or scene.motion.start == "hung"
     if not scene.support and scene.motion is None:
         yield "[support]: is missing, so nothing holds the curtain"
     if pattern != "aligned" and (not isinstance(shape, Rectangle) or shape.holes):
@@ -44,7 +49,7 @@ def _contradictions(scene: Scene) -> Iterator[str]:
                 yield f"{item.where} move = {list(move)}: has no effect along {axis}, as held = {held!r}"
         if held == "z" and not scene.in_space:
             yield f"{item.where} held = 'z': holds nothing, as the scene lies in the plane"
-    is_shaped = any(wind.follows for wind in scene.of(Wind)) or bool(scene.of(Body))
+    is_shaped = any(wind.follows for wind in scene.of(Wind)) or bool(scene.of(Body) and is_hung)
     if scene.start is not None and not is_shaped:
         yield "[start]: has no effect without bodies and following pressure"
     is_live = [isinstance(item, LiveLoad) and not isinstance(item, Bar) for item in scene.items]
@@ -74,10 +79,19 @@ def _over_time(scene: Scene) -> Iterator[str]:
                 yield f"{item.where} history: a share of {share:g}, at {t:g} s: {error.what}"
         if item.history and scaled(item, 0.5) == item:
             yield f"{item.where} history: has no effect without a move or load that it scales"
-    if scene.motion is not None and scene.load.steps > 1:
+    if scene.motion is None:
+        return
+    if scene.load.steps > 1:
         yield f"[load] steps = {scene.load.steps}: has no effect in motion, use history"
-    if scene.motion is not None and scene.solver.is_bounded:
+    if scene.solver.is_bounded:
         yield "[solver] bounds and adapt: have no effect in motion"
+    unread: list[tuple[str, Any, tuple[str, ...]]] = [(item.where, item, OF_HOOKS) for item in scene.items]
+    if scene.motion.start == "reference":
+        unread.append(("[motion] start = 'reference': [solver]", scene.solver, OF_REST))
+    for where, record, keys in unread:
+        for key in keys:
+            if getattr(record, key, None) != getattr(type(record), key, None):
+                yield f"{where} {key} = {getattr(record, key):g}: has no effect in motion"
 
 
 def _of_combinations(scene: Scene) -> Iterator[str]:

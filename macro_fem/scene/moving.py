@@ -40,6 +40,8 @@ class Motion(Typed):
     def check(self) -> None:
         if self.step is not None and self.step > self.duration:
             self.refuse(f"step = {self.step:g}: is longer than the duration, {self.duration:g} s")
+        if self.step is not None and self.accuracy != Motion.accuracy:
+            self.refuse(f"accuracy = {self.accuracy:g}: has no effect with step")
 
 
 @dataclass(frozen=True)

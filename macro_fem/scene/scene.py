@@ -142,11 +142,12 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     (Top(gather=1.0, move=(0.0, 0.0)),)
     """
     refuse_unknown(data, ("curtain", *LISTS, *PARTS, "material", "combination"), f"{source}:", "table")
+    for name in ("curtain", "load"):
+        if not isinstance(data.get(name, {}), dict):
+            raise InputError(f"{source}: [{name}] is not one table")
     if "curtain" not in data:
         raise InputError(f"{source}: [curtain]: is missing")
     load = data.get("load", {})
-    if not isinstance(load, dict):
-        raise InputError(f"{source}: [load] is not a table")
     refuse_unknown(load, ("gravity", "steps", *LiveLoad.kinds), f"{source}: [load]")
     items = []
     for name, base in LISTS.items():
@@ -154,8 +155,8 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     for name, kind in LiveLoad.kinds.items():
         items += read_records(load.get(name, []), kind, f"{source}: [load.{name}]")
     single = data | {"load": {key: value for key, value in load.items() if key not in LiveLoad.kinds}}
-    curtain = {"shape": "rectangle"} | data["curtain"] if isinstance(data["curtain"], dict) else data["curtain"]
-    if isinstance(curtain, dict) and curtain.get("shape") == "dxf":
+    curtain = {"shape": "rectangle"} | data["curtain"]
+    if curtain["shape"] == "dxf":
         curtain = _from_dxf(curtain, Path(source))
     shape = read_records(curtain, Shape.kinds, f"{source}: [curtain]", "shape")[0]
     parts: dict[str, Any] = {

@@ -55,7 +55,9 @@ def moved(tables):
 
 def test_rest_stays_rest_until_something_acts():
     wind = {"pressure": 20.0, "direction": [0.0, 0.0, -1.0], "history": [[0.02, 0.0], [0.04, 1.0]]}
-    found, told = moved({"support": TOP, "load": {"wind": [wind]}, "motion": {"duration": 0.04, "step": 0.01}})
+    late = TOP | {"release": 0.04}
+    found, told = moved({"support": late, "load": {"wind": [wind]}, "motion": {"duration": 0.04, "step": 0.01}})
+    assert found.message == "every step is solved; [support] (top) release = 0.04: is not reached"
     assert [frame.iterations > 0 for frame in found.frames] == [False, False, False, True, True]
     assert np.array_equal(found.frames[2].moment.x, found.frames[0].moment.x)
     assert told["mean_z_mm"][-1] < -0.1
