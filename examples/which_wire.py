@@ -92,12 +92,12 @@ def draw(wires: list[Wire], factor: float, title: str, path: Path) -> None:
     figure = Figure(figsize=(8.0, 5.5), layout="constrained")
     ax = figure.add_subplot()
     known = [wire for wire in wires if wire.safety_factor is not None]
-    mass = [wire.mass_kg for wire in known]
+    mass = np.array([wire.mass_kg for wire in known], float)
     for values, colour, mark, label in (
         ([wire.safety_factor for wire in known], BLUE, "o-", "first yield"),
         ([wire.collapse_factor for wire in known], VERMILION, "s--", "collapse"),
     ):
-        ax.plot(mass, values, mark, color=colour, lw=2, ms=7, label=label)
+        ax.plot(mass, np.array(values, float), mark, color=colour, lw=2, ms=7, label=label)
     for wire in known:
         where = (wire.mass_kg, wire.safety_factor)
         ax.annotate(f"{wire.diameter_mm:g} mm", where, (6, -14), textcoords="offset points", fontsize=12)

@@ -82,7 +82,7 @@ def write_pictures(folder: Path, steps: Sequence[CurtainSolution], wanted: Pictu
 
 def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:
     """Write the curtain in space as one HTML file that turns in a browser; InputError if plotly is missing."""
-    write_page(path, draw_curtain(solution), title(solution))
+    write_page(path, lambda: draw_curtain(solution), title(solution))
 
 
 def figures(steps: Titled) -> Iterator[Figure]:

@@ -190,7 +190,7 @@ class RingField:
     def write_html(self, path: str | Path) -> None:
         """Write the rings as one HTML file that turns in a browser without a network, coloured by contact force, tori
         where there are few of them, else their centre lines; InputError without plotly."""
-        write_page(path, self.drawn.draw(), self._title)
+        write_page(path, self.drawn.draw, self._title)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Centre lines of all rings seen from the front, coloured by contact force, on `ax` or axes of their own."""

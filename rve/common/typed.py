@@ -18,6 +18,9 @@ from rve.common.errors import InputError, shown
 
 Record = TypeVar("Record", bound="Typed")
 
+NAMES = {"float": "a number", "int": "a whole number", "str": "a text", "bool": "true or false", "array": "a list"}
+NAMES |= {"null": "nothing"}
+
 
 class BadField(InputError):
     """A field that does not fit: `what` is wrong, without the name of the record or the table that has it."""
@@ -37,7 +40,7 @@ class Typed:
     >>> Steps(most=0.5)
     Traceback (most recent call last):
     ...
-    rve.common.typed.BadField: Steps: most = 0.5: expected int, got float
+    rve.common.typed.BadField: Steps: most = 0.5: expected a whole number, got a number
     """
 
     def __post_init__(self) -> None:
@@ -132,11 +135,11 @@ def _meant(word: str, known: Iterable[str]) -> str:
 
 
 def _words(what: str, value: Any, kind: Any) -> str:
-    """What msgspec says, or the words that a text may be."""
+    """What msgspec says, by the names of types that users know, or the words that a text may be."""
     words = _literals(kind)
     if words and what.startswith(("Invalid enum value", "Expected `str")):
         return f"is not one of {', '.join(words)}; {_meant(str(value), words)}".rstrip("; ")
-    told = what.replace("`", "")
+    told = re.sub("`(.+?)`", lambda found: " or ".join(NAMES.get(one, one) for one in found[1].split(" | ")), what)
     return told[0].lower() + told[1:]
 
 

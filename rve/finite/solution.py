@@ -182,7 +182,7 @@ class FiniteSolution:
     def write_html(self, path: str | Path) -> None:
         """Write the rings as one HTML file that turns in a browser without a network; InputError without plotly."""
         height = f"mean height {self.mean_height:.1f} mm, lowest point {self.centre[:, 1].min():.1f} mm"
-        write_page(path, self.view(), f"{len(self.centre)} rings: {self.status}\n{height}")
+        write_page(path, self.view, f"{len(self.centre)} rings: {self.status}\n{height}")
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Every ring in the plane x, y, coloured by its largest contact force, on `ax` or axes of their own."""

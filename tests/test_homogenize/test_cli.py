@@ -72,7 +72,7 @@ def test_loads_outside_the_sampled_cone_are_marked(tmp_path):
         (lambda record: record | {"parameters": {"S": [[1, 0, 0]], "h": [1]}}, ("stiffness_N_per_mm",)),
         (
             lambda record: record | {"parameters": record["parameters"] | {"h": [float("nan")] * 3}},
-            ("parameters h[0] = nan", "expected float"),
+            ("parameters h[0] = nan", "expected a number"),
         ),
     ],
 )

@@ -135,7 +135,7 @@ def test_the_command_prints_both_loads(law, tmp_path):
     ("key", "value", "message"),
     [
         ("S", [[1.0, 0.9, 0.0]], "differ in length"),
-        ("compliance_mm_per_N", [-1.0] * 121, r"compliance_mm_per_N\[0\] = -1.0: expected float >= 0"),
+        ("compliance_mm_per_N", [-1.0] * 121, r"compliance_mm_per_N\[0\] = -1.0: expected a number >= 0"),
         ("material", {"ultimate_N_per_mm2": 1.0}, "^law.json: strength material .* is less than yield"),
     ],
 )

@@ -25,8 +25,8 @@ support = {kind = "top", gather = 1.9} -> farther apart
 support = {kind = "hooks", pitch = 500.0} -> pitch = 500
 support = {kind = "hooks", pitch = 50.0, capacity = true} -> capacity = True
 support = {kind = "hooks", pitch = 25, sliding = true, gather = 0.8} -> gather = 0.8: has no effect on hooks
-support = {kind = "top", move = [1, 2, 3, 4]} -> (top) move = [1, 2, 3, 4]: expected array of length <= 3
-support = {kind = "point", at = [0, 1, 2]} -> at = [0, 1, 2]: expected array of length 2
+support = {kind = "top", move = [1, 2, 3, 4]} -> (top) move = [1, 2, 3, 4]: expected a list of length <= 3
+support = {kind = "point", at = [0, 1, 2]} -> at = [0, 1, 2]: expected a list of length 2
 support = {kind = "edge", edge = "top", held = "zx"} -> held = 'zx': is not one of both, x, y, z, xy, xz, yz
 support = {kind = "edge", edge = "top", held = "z"} -> held = 'z': holds nothing, as the scene lies in the plane
 support = {kind = "edge", edge = "top", held = "xy", move = [0, 0, 1]} -> has no effect along z, as held = 'xy'
@@ -52,7 +52,7 @@ support.kind = "rail"; load.edge = {edge = "bottom", force = [0.1, 0.0]} -> noth
 support = [{kind = "top"}, {kind = "point", at = [0, 100], move = [5, 0]}] -> the point (0, 100) at different places
 combination = [{name = "a", wind = 1.5}] -> wind: has no effect, as the scene has no [load.wind]
 combination = [{name = "a"}, {name = "a"}] -> a: is the name of two combinations
-combination = [{name = "a", bar = -1}] -> [combination] bar = -1: expected float >= 0
+combination = [{name = "a", bar = -1}] -> [combination] bar = -1: expected a number >= 0
 combination = [{bar = 1}] -> [combination] name: is missing
 load.wind = {direction = [0, 0, 1]} -> [load.wind] pressure: is missing; give it in N/m2, or speed in m/s
 load.wind = {direction = [0, 0, 0], pressure = 1} -> direction = [0.0, 0.0, 0.0]: has no direction
@@ -65,7 +65,6 @@ obstacle = {kind = "cube"} -> [obstacle] kind = 'cube': is not one of floor, wal
 obstacle = {kind = "cylinder", axis = [0, 0, 0], radius = 1} -> axis = [0.0, 0.0, 0.0]: has no direction
 obstacle = {kind = "box", corner = [0, 0, 0], size = [9, 4, 9], rounding = 3}
   -> is more than half of its least length, 4 mm
-obstacle = {kind = "wall", facing = [0, 0]} -> facing = [0.0, 0.0]: has no direction
 obstacle = {kind = "floor", height = 120.0} -> floor: top is 20 mm inside it
 obstacle = {kind = "sphere", centre = [50, 100, 0], radius = 30} -> sphere: top is 30 mm inside it
 obstacle = {kind = "sphere", centre = [50, 40, 5], radius = 30} -> 24.4 mm inside it before anything moves
@@ -75,7 +74,6 @@ start = {origin = [0, 0, 0]} -> [start]: has no effect without bodies
 material.poisson = 0.4 -> poisson = 0.4: is that of the law's table, 0.3
 material.colour = 1 -> colour = 1: unknown key; known are material, density
 material = {yield = 400.0, ultimate = 300.0} -> [material] ultimate = 300: is less than the yield stress, 400
-material.young = 210.0 -> [material] young = 210.0: expected float >= 500
 curtain = {width = 3.0, height = 2.5} -> [curtain] width = 3: is less than
 curtain.height = 2.5 -> lengths are in mm, did you mean 2500?
 curtain = {shape = "disk", radius = 1.2} -> radius = 1.2: is less than the diameter of a ring, 10 mm
@@ -87,9 +85,8 @@ support = [{kind = "top"}, {kind = "edge", edge = "bottom", move = [0, 2]}];
 start = {origin = [0, 0, 0], y_axis = [1, 1, 0]}; obstacle = {kind = "sphere", centre = [0, 0, 9], radius = 1}
   -> [start] y_axis = [1.0, 1.0, 0.0]: is not at a right angle to x_axis
 motion.duration = 0.1; support = [] -> nothing holds
-motion = {} -> duration
 motion = {duration = 1.0, step = 2.0} -> longer than the duration
-motion = {duration = 1e-300} -> expected float >= 1e-09
+motion = {duration = 1e-300} -> expected a number >= 1e-09
 motion.duration = 1.0; body = {kind = "sphere", radius = 50, mass = -1, at = [50, 50, 9]} -> mass = -1
 motion.duration = 1.0; solver.space = true; body = {kind = "sphere", radius = 50, mass = 1, at = [50, 50, 9]}
   -> inside it at the start

@@ -50,7 +50,7 @@ def test_a_command_takes_one_thread_of_blas_unless_told_otherwise(monkeypatch, t
         (AssertionError(), 1, "unforeseen AssertionError: no message"),
         (RecursionError("too deep"), 1, "unforeseen RecursionError"),
         (MemoryError(), 1, "not enough memory"),
-        (OSError(28, "No space left on device", "out.csv"), 1, "out.csv: No space left on device; files that were"),
+        (OSError(28, "No space left on device", "a.csv"), 1, "a.csv: No space left on device, make room there; files"),
         (FileNotFoundError(2, "No such file", "law.json"), 1, "law.json: No such file"),
         (KeyboardInterrupt(), 130, "stopped by SIGINT; no file is left half-written, and the same command begins anew"),
     ],

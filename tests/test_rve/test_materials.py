@@ -54,7 +54,7 @@ def test_a_cell_takes_its_weave_by_name():
     assert Cell(r1=8.0, r2=1.0, weave="6-in-1") == Cell(r1=8.0, r2=1.0, weave=WEAVES["6-in-1"])
     with pytest.raises(InputError, match="is not one of 4-in-1, 6-in-1"):
         Cell(weave="5-in-1")
-    with pytest.raises(InputError, match="expected float, got Material"):
+    with pytest.raises(InputError, match="expected a number, got Material"):
         Cell(r1=Material())
 
 

@@ -6,11 +6,13 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 
 from rve.common.drawing import space
 from rve.common.drawing.page import write_page
 from rve.common.drawing.plane import Scale
 from rve.common.drawing.space import FRONT, THREE_QUARTERS, add, arrows, lines, look, new_plotter, save_picture
+from rve.common.errors import InputError
 
 HEIGHT = Scale("height, mm", 0.0, 30.0, 40.0)
 
@@ -56,10 +58,13 @@ def test_a_missing_library_of_opengl_is_told_in_one_sentence():
     assert run.stdout.strip().endswith("install libosmesa6, or ask for --no-picture")
 
 
-def test_a_page_holds_the_numbers_and_loads_nothing(tmp_path):
-    write_page(tmp_path / "wave.html", wave(1), "a wave <b>")
+def test_a_page_holds_the_numbers_and_loads_nothing(tmp_path, monkeypatch):
+    write_page(tmp_path / "wave.html", lambda: wave(1), "a wave <b>")
     text = (tmp_path / "wave.html").read_text(encoding="utf-8")
     assert not re.search(r"<(script|img|iframe|link)[^>]*\b(src|href)=\"(?!data:)", text)
     assert "<title>a wave &lt;b&gt;</title>" in text
     data = json.JSONDecoder().raw_decode(text[re.search(r'Plotly\.newPlot\(\s*"[^"]+",\s*', text).end() :])[0]
     assert [trace["name"] for trace in data] == ["sheet", "force", "rail"]
+    monkeypatch.setattr("rve.common.errors.find_spec", lambda name: None)
+    with pytest.raises(InputError, match="needs plotly"):
+        write_page(tmp_path / "wave.html", lambda: pytest.fail("is drawn"), "never")

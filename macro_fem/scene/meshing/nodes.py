@@ -19,7 +19,7 @@ from macro_fem.fem.cells import counterclockwise, cross
 from macro_fem.scene.meshing.edges import CORNER, facets_between
 from rve.common import Array, InputError
 
-SAME = 1e-9
+SAME = 1e-6
 """Places nearer to a node than this part of the size of the mesh have a node."""
 LEAST_SINE = 0.05
 """Least sine of a corner of a cell around a new or moved node, 3 degrees. Larger: more nodes are moved, which turns

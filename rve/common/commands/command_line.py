@@ -12,6 +12,7 @@ prints sentences by `say`, the last one by `say_next`, and its record by `answer
 
 from __future__ import annotations
 
+import errno
 import os
 import shlex
 import signal
@@ -113,7 +114,8 @@ def ending(error: BaseException) -> tuple[int, str]:
         return 128 + number, f"stopped by {number.name}"
     if isinstance(error, OSError) and error.strerror:
         where = "" if error.filename is None else f"{error.filename}: "
-        return 1, f"{where}{error.strerror}; files that were there before are unchanged"
+        room = ", make room there" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+        return 1, f"{where}{error.strerror}{room}; files that were there before are unchanged"
     if isinstance(error, MemoryError):
         return 1, "there is not enough memory for this; ask for fewer cells, rings, rows or workers"
     kind = type(error).__name__

@@ -5,7 +5,7 @@ Hovering shows numbers, a click on the legend hides a part. The script is 5 MB o
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,9 +41,10 @@ def check_page(purpose: str, instead: str = "ask for none") -> None:
     require("pyvista", "pages", purpose, instead)
 
 
-def write_page(path: AnyPath, plotter: Plotter, title: str) -> None:
-    """Write what a plotter shows beneath a title as one HTML file, atomically; InputError if plotly is missing."""
-    write_moments(path, [("", plotter)], title)
+def write_page(path: AnyPath, draw: Callable[[], Plotter], title: str) -> None:
+    """Write what a plotter shows beneath a title as one HTML file, atomically; InputError, before it is drawn, if
+    plotly is missing."""
+    write_moments(path, ((word, draw()) for word in [""]), title)
 
 
 def write_moments(path: AnyPath, moments: Iterable[tuple[str, Plotter]], title: str) -> None:
