@@ -156,7 +156,8 @@ def main(out: Path, cells: int | None, accuracy: float | None) -> None:
     found = run(out, setting)
     say(f"done in {time.perf_counter() - began:.1f} s; see {out}/cell.png, {out}/law, {out}/curtain/curtain.png")
     answer(found)
-    say_next("macro_fem", "localize", out / "curtain", "--out", out.parent / f"{out.resolve().name}_rings", why="every ring of the curtain")
+    rings = out.parent / f"{out.resolve().name}_rings"
+    say_next("macro_fem", "localize", out / "curtain", "--out", rings, why="every ring of the curtain")
 
 
 if __name__ == "__main__":
