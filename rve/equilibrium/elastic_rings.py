@@ -86,8 +86,7 @@ def contact_flexibility(ends: Ends, ring: Ring, joint: Array | None = None) -> A
     """The flexibility C (n, c, c) between the contacts of each cell, by its curved rings, open at joint (n, k)."""
     mine = [ends.direction * (ends.ring == k)[..., None] for k in range(ends.grain.shape[1])]
     open_at = [None] * len(mine) if joint is None else list(joint.T)
-    parts = [flexibility(ends.phi, d, ring.curved(), x) for d, x in zip(mine, open_at, strict=True)]
-    full = np.sum(parts, axis=0)
+    full = np.sum([flexibility(ends.phi, d, ring.curved(), x) for d, x in zip(mine, open_at, strict=True)], axis=0)
     c = ends.slot.shape[1]
     return np.asarray(full[:, :c, :c] + full[:, :c, c:] + full[:, c:, :c] + full[:, c:, c:])
 
@@ -158,10 +157,9 @@ class _Cells:
         states = self._states_at(joints[0] if joints else None)
         for joint in joints[1:]:
             other = self._states_at(joint)
-            stress = np.maximum(states.first_yield, other.first_yield)
-            load = np.maximum(states.collapse, other.collapse)
+            worst = {key: np.maximum(getattr(states, key), getattr(other, key)) for key in ("first_yield", "collapse")}
             softer = np.flatnonzero(other.energy > states.energy)
-            states = replace(states.put(softer, other.take(softer)), first_yield=stress, collapse=load)
+            states = replace(states.put(softer, other.take(softer)), **worst)
         return states
 
     def _states_at(self, joint: Array | None) -> RingStates:
@@ -184,14 +182,15 @@ class _Cells:
         for k in range(ends.grain.shape[1]):
             phi, direction, contact = ends.on(k)
             forces = np.take_along_axis(lam, contact, axis=1)[..., None] * direction
-            peak, _, _ = peak_stress(phi, forces, self.ring, None if joint is None else joint[:, k])
-            stress = np.maximum(stress, peak)
+            stress = np.maximum(stress, peak_stress(phi, forces, self.ring, None if joint is None else joint[:, k])[0])
         energy, collapse = np.einsum("nc,ncd,nd->n", lam, C, lam), self._collapse(lam, joint)
         return RingStates(full.reshape(found.lam.shape), locking, elastic, stress, collapse, energy)
 
     def _collapse(self, lam: Array, joint: Array | None) -> Array:
         """Yield stress (n,) at which the load is that of plastic collapse: contact forces are free within balance."""
-        working = self.start > 1e-6 * self.start.max(axis=1, keepdims=True)
+        working, elastic = (one > 1e-6 * one.max(axis=1, keepdims=True) for one in (self.start, lam))
+        more = (elastic & ~working).any(axis=1, keepdims=True)  # chains side by side share what one of them may carry
+        working, start = working | elastic & more, np.where(more, 0.5 * (self.start + lam), self.start)
         free = [_split(G[rows])[3] for G, rows in zip(self.G, working, strict=True)]
         width = np.array([N.shape[1] for N in free])
         out = np.empty(len(lam))
@@ -203,7 +202,7 @@ class _Cells:
             change = np.zeros((len(chosen), lam.shape[1], width.max()))
             for row, i in enumerate(chosen):
                 change[row, working[i], : width[i]] = free[i]
-            start = np.where(working, self.start, 0.0)[chosen]
+            start = np.where(working, start, 0.0)[chosen]
             moments = self._moments(chosen, np.concatenate([start[..., None], change], axis=2), joint)
             out[chosen] = 1.0 / _factors(moments, start, change)
         return out
@@ -242,14 +241,16 @@ def elastic_forces(G: Array, f: Array, C: Array, start: Array) -> Array:
     array([2., 1.])
     """
     U, sizes, Vt, N = _split(G)
-    p = start - U @ (U.T @ start + (Vt[: len(sizes)] @ f) / sizes)
+    p = np.maximum(start - U @ (U.T @ start + (Vt[: len(sizes)] @ f) / sizes), 0.0)
     if not N.shape[1]:
-        return np.asarray(np.maximum(p, 0.0))
+        return np.asarray(p)
+    N[np.abs(N) < 1e-12] = 0.0  # of round-off a huge z would be asked
     L = np.linalg.cholesky(_positive(N.T @ C @ N))
     shift = np.linalg.solve(L, N.T @ C @ p)
-    A = np.linalg.solve(L, N.T).T  # p + N z = p + A (y - shift) with y = L^T z + shift, and |y| is to be least
-    y = shortest(A, A @ shift - p)
-    return np.asarray(np.maximum(p if y is None else p + A @ (y - shift), 0.0))
+    size = np.linalg.norm(shift) or 1.0  # in which |y| is 1 at most
+    A = np.linalg.solve(L, N.T).T  # p + N z = p + A (size y - shift) with size y = L^T z + shift, |y| is to be least
+    y = shortest(size * A, A @ shift - p)
+    return np.asarray(np.maximum(p if y is None else p + A @ (size * y - shift), 0.0))
 
 
 def _compliance(G: Array, C: Array, H: Array, B: Array, area: float) -> tuple[Array, Array]:
@@ -262,8 +263,7 @@ def _compliance(G: Array, C: Array, H: Array, B: Array, area: float) -> tuple[Ar
     U, sizes, Vt, N = _split(G)
     W = U - N @ np.linalg.solve(_positive(N.T @ C @ N), N.T @ C @ U) if N.shape[1] else U
     Z = Vt[len(sizes) :].T
-    load = np.zeros((len(H), 3))
-    load[:3] = area * B.T * WEIGHT
+    load = np.pad(area * B.T * WEIGHT, ((0, len(H) - 3), (0, 0)))
     stiffness, motions = np.linalg.eigh(0.5 * Z.T @ (H + H.T) @ Z)
     stiff = stiffness >= SOFT
     V, stiffness = Z @ motions[:, stiff], stiffness[stiff]

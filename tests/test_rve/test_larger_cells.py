@@ -19,6 +19,7 @@ from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.contacts import unlisted_gap
 from rve.geometry.pose import moved, start_pose, strain_of, tiled
 from rve.geometry.weave import SIX_IN_ONE, WEAVES, supercell
+from rve.more_columns import with_rings
 from rve.solve import reference_sides, solve_table
 from rve.support_function import support
 
@@ -89,11 +90,12 @@ def test_rings_that_leave_the_plane_do_more_work_and_never_less(planar, beyond):
     assert beyond.row(0)["centres"] == "space"
 
 
-def test_the_weave_of_thick_wire_stays_in_the_plane():
-    cell = Cell(5.0, 0.5, WEAVES["4-in-1"])
-    S = LOADS[1:2]
-    planar, space = support(cell, S), support(replace(cell, cells=(2, 2), centres="space"), S)
-    assert space.h == pytest.approx(planar.h, abs=1e-9)
+def test_the_weave_of_thick_wire_stays_in_the_plane_and_its_chains_share_their_load():
+    cell, chain = Cell(5.0, 0.5), ([30.0], [0.0])
+    larger = replace(cell, cells=(2, 2), centres="space")
+    assert support(larger, LOADS[1:2]).h == pytest.approx(support(cell, LOADS[1:2]).h, abs=1e-9)
+    one, side_by_side = (with_rings(solve_table(each, chain), each).strength for each in (cell, larger))
+    assert side_by_side == pytest.approx(one, rel=1e-4)
 
 
 def test_states_give_way_out_of_the_plane_where_wire_is_thin(planar):
