@@ -16,7 +16,7 @@ from macro_fem.output.weakest import links
 from macro_fem.scene.tables import Bar, EdgeLoad, Wind
 from macro_fem.solution import CurtainSolution
 from macro_fem.told import combination_lines, order_lines, verdict
-from rve.common import atomic_path, checksum
+from rve.common import atomic_path, checksum, digits
 from rve.common.drawing.plane import BLUE, VERMILION, new_figure
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def _sections(summary: dict[str, Any], inputs: Iterable[Path]) -> Iterable[tuple
     stress = summary["ring_yield_N_per_mm2"]
     told = "not known" if stress is None else f"{stress:g} N/mm2"
     material = f"material of the rings: {summary['ring_material'] or 'not known'}, yield stress {told}"
-    factors = [f"{one.name}: {one.factor:.3g} times the load" for one in links(summary)]
+    factors = [f"{one.name}: {digits(one.factor)} times the load" for one in links(summary)]
     yield "What gives first", [*factors, material], False
     if "combinations" in summary:
         yield "Load combinations", combination_lines(summary), False
@@ -107,7 +107,7 @@ def _sections(summary: dict[str, Any], inputs: Iterable[Path]) -> Iterable[tuple
     ]
     shown = sorted(sorted(points, key=lambda row: -row[0])[:MOST_ROWS], key=lambda row: (row[1], row[2], -row[3]))
     rows = [
-        f"{name:<8}{x:>6.0f}{h:>6.0f}{size:>8.3g}  ({', '.join(f'{part:.3g}' for part in force)})"
+        f"{name:<8}{x:>6.0f}{h:>6.0f}{digits(size):>8}  ({', '.join(map(digits, force))})"
         for size, name, x, h, force in shown
     ]
     half, wide = (len(rows) + 1) // 2, max(map(len, rows), default=0) + 3

@@ -16,7 +16,7 @@ from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import Rectangle
 from macro_fem.scene.tables import Bar, Item, Wind
 from rve import solve_table, with_rings
-from rve.common import InputError, csv_text, job, part_of, shown, write_text
+from rve.common import InputError, csv_text, digits, job, part_of, shown, write_text
 from rve.common.drawing.plane import new_axes, save_figure
 
 VARIED: dict[str, tuple[str, str, Callable[[Item], bool]]] = {
@@ -107,7 +107,7 @@ def largest_that_holds(
     best = search(use, values[::-1] if vary == "r2" else values, between=not is_pitch)
     if best is None:
         most = max(rows.values(), key=lambda row: row.factor or 0.0)
-        why = f"the largest factor is {most.factor:.3g}, at {most.value:g}" if most.factor else most.status
+        why = f"the largest factor is {digits(most.factor)}, at {most.value:g}" if most.factor else most.status
         unsolved = [row for row in rows.values() if row.factor is None]
         if most.factor and unsolved:
             why += f"; {len(unsolved)} values have no answer ({unsolved[0].value:g}: {unsolved[0].status})"

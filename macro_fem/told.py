@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from macro_fem.output.weakest import holds_line
+from rve.common import digits
 from rve.common.commands.command_line import feature_lines
 
 
@@ -26,7 +27,7 @@ def default_law_lines(given: Path | None) -> list[str]:
 def curtain_lines(summary: dict[str, Any], out: Path, *, explain: bool) -> Iterator[str]:
     """How a curtain ended, its numbers, what to order, and whether it holds; `explain`: what was used and left out."""
     yield f"{summary['status']}: {summary['message']}"
-    yield f"{_heights(summary)}, largest line load {summary['max_principal_line_load_N_per_mm']:.4g} N/mm"
+    yield f"{_heights(summary)}, largest line load {digits(summary['max_principal_line_load_N_per_mm'], 4)} N/mm"
     sizes = f"{summary['cells']} cells, {summary['dofs']} unknowns, {summary['iterations']} iterations"
     yield f"{sizes}, {summary['wall_s']:.2f} s; written to {out}"
     yield from hooks_lines(summary)
@@ -50,8 +51,8 @@ def motion_lines(summary: dict[str, Any], out: Path) -> list[str]:
     return [
         f"{summary['status']}: {summary['message']}",
         f"{summary['reached_s']:g} s in {summary['steps']} steps, forces of all supports add up to at most "
-        f"{summary['peak_support_force_N']:.4g} N, at {summary['peak_support_force_at_s']:.4g} s; lowest point "
-        f"{summary['lowest_point_mm']:.3f} mm, {summary['wall_s']:.2f} s; written to {out}",
+        f"{digits(summary['peak_support_force_N'], 4)} N, at {digits(summary['peak_support_force_at_s'], 4)} s; "
+        f"lowest point {summary['lowest_point_mm']:.3f} mm, {summary['wall_s']:.2f} s; written to {out}",
     ]
 
 
@@ -60,7 +61,7 @@ def every_ring_lines(summary: dict[str, Any], out: Path) -> list[str]:
     left = f"supports are up to {summary['way_left_mm']:.3f} mm from their places"
     if summary["status"] != "out-of-reach":
         largest, residual = summary["largest_contact_force_N"], summary["kkt_residual"]
-        left = f"largest contact force {largest:.4g} N, residual {residual:.1e}"
+        left = f"largest contact force {digits(largest, 4)} N, residual {residual:.1e}"
     gap = f"smallest gap {summary['min_gap_mm']:.1e} mm, {summary['iterations']} iterations"
     return [
         f"{summary['status']}: {summary['message']}",
@@ -80,9 +81,9 @@ def ring_field_lines(found: dict[str, Any], out: Path) -> Iterator[str]:
         yield f"the curtain is not solved: its status is {found['curtain_status']} (summary.json)"
     worst = found["worst_cell"]
     where = f"of {worst['contacts']} contacts in cell {worst['cell']}, which has the largest line load"
-    yield f"forces between rings away from supports: at most {worst['largest_force_N']:.4g} N, {where}"
+    yield f"forces between rings away from supports: at most {digits(worst['largest_force_N'], 4)} N, {where}"
     if held := found["ring_at_support"]:
-        yield f"the ring at {held['support']} that takes most is pulled by {held['force_N']:.4g} N"
+        yield f"the ring at {held['support']} that takes most is pulled by {digits(held['force_N'], 4)} N"
     yield from (f"{name}: {text}" for name, text in found["meanings"].items() if name != "met")
 
 
@@ -112,7 +113,7 @@ def order_lines(record: dict[str, Any]) -> list[str]:
         lines += [f"  {record['weave']}, rings of {metal}, {across:g} mm across to the middle of a wire of {wire:g} mm"]
         rings = f"{record['rings']} rings in {record['cells']} cells of the weave, "
     pitch = "" if record["hook_pitch_mm"] is None else f", {record['hook_pitch_mm']:g} mm apart along the mesh"
-    lines += [f"  {rings}{record['mass_kg']:.4g} kg; {record['hooks']} single points to hang by{pitch}"]
+    lines += [f"  {rings}{digits(record['mass_kg'], 4)} kg; {record['hooks']} single points to hang by{pitch}"]
     return [*lines, f"  covers {record['covers_width_mm']:.1f} mm, lowest point at {record['lowest_point_mm']:.1f} mm"]
 
 
@@ -121,8 +122,8 @@ def combination_lines(summary: Mapping[str, Any]) -> list[str]:
     lines = []
     for row in summary.get("combinations", ()):
         named = ", ".join(f"{value:g} {name}" for name, value in row["factors"].items() if value != 1.0)
-        holds = "" if row["weakest_factor"] is None else f", factor {row['weakest_factor']:.3g} ({row['weakest']})"
-        ended = f"{row['status']}, largest force {row['largest_force_N']:.4g} N{holds}"
+        holds = "" if row["weakest_factor"] is None else f", factor {digits(row['weakest_factor'])} ({row['weakest']})"
+        ended = f"{row['status']}, largest force {digits(row['largest_force_N'], 4)} N{holds}"
         lines.append(f"combination {row['name']} ({named or 'all loads as they are'}): {ended}")
     return [*lines, governing_line(summary)] if lines else []
 
@@ -140,7 +141,7 @@ def governing_line(summary: Mapping[str, Any]) -> str:
         return f"{text}; no answer for {', '.join(failed)}"
     if factor is None:
         return text
-    return f"{text}, {'holds' if factor >= 1.0 else 'does not hold'}, factor {factor:.3g} ({most['weakest']})"
+    return f"{text}, {'holds' if factor >= 1.0 else 'does not hold'}, factor {digits(factor)} ({most['weakest']})"
 
 
 def verdict(summary: dict[str, Any]) -> tuple[str, bool]:
@@ -158,10 +159,10 @@ def interval_line(summary: dict[str, Any]) -> str:
     """Interval of the answer, its parts, and what the rings were asked."""
     what, unit = ("mean_height", "mm") if "mean_height_interval_mm" in summary else ("potential", "N_mm")
     low, high = summary[f"{what}_interval_{unit}"]
-    law, mesh = summary[f"law_part_{unit}"], summary[f"mesh_part_{unit}"]
+    law, mesh = (digits(summary[f"{part}_part_{unit}"]) for part in ("law", "mesh"))
     name, shown = what.replace("_", " "), unit.replace("_", " ")
     asked = f"{summary['ring_solves']} ring problems solved, {summary['cache_hits']} read from the cache"
-    return f"{name} of the rings in [{low:.6g}, {high:.6g}] {shown}: law {law:.3g}, mesh {mesh:.3g} {shown}; {asked}"
+    return f"{name} of the rings in [{low:.6g}, {high:.6g}] {shown}: law {law}, mesh {mesh} {shown}; {asked}"
 
 
 def side_by_side(summary: dict[str, Any]) -> list[str]:
@@ -182,4 +183,4 @@ def _text(value: Any) -> str:
 def _force(x: float, y: float, z: float = 0.0) -> str:
     """Components with three digits; the third one only where there is one beside the others."""
     is_flat = abs(z) <= 1e-6 * max(abs(x), abs(y))
-    return " ".join(f"{one:.3g}" for one in ((x, y) if is_flat else (x, y, z)))
+    return " ".join(map(digits, (x, y) if is_flat else (x, y, z)))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rve.common import SENTENCES, Array, InputError, NotConverged
+from rve.common import SENTENCES, Array, InputError, NotConverged, digits
 from rve.common.drawing.plane import BLUE, VERMILION, new_axes
 from rve.drawn import DrawnRings
 from rve.equilibrium.interior_point import LockedStates, unit_loads
@@ -97,10 +97,10 @@ def draw_case(table: StrainTable, row: int = 0, ax: Axes | None = None) -> Axes:
     if len(points):
         ax.scatter(points[:, 0], points[:, 1], s=18, color=BLUE, zorder=3, label="contact")
         reach = 0.5 * r1 * (forces / forces.max())[:, None] * normals
-        longest = f"force between rings, longest {r1 * forces.max():.3g}"
+        longest = f"force between rings, longest {digits(r1 * forces.max())}"
         _arrows(ax, np.tile(points, (2, 1)), np.concatenate([reach, -reach]), BLUE, 3e-3, longest)
     largest = max(float(np.linalg.norm(nodal, axis=1).max()), 1e-300)
-    _arrows(ax, at, 1.3 * r1 * nodal / largest, VERMILION, 5e-3, f"force on a corner, longest {r1 * largest:.3g}")
+    _arrows(ax, at, 1.3 * r1 * nodal / largest, VERMILION, 5e-3, f"force on a corner, longest {digits(r1 * largest)}")
     for number, (place, force) in enumerate(zip(at, nodal, strict=True), 1):
         away = tuple(-11.0 * force / max(float(np.linalg.norm(force)), 1e-300))  # on the other side than the arrow
         ax.annotate(str(number), place, textcoords="offset points", xytext=away, ha="center", va="center", fontsize=11)

@@ -29,7 +29,7 @@ from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, gree
 from rve.geometry.pose import Pose, deformation, strain_of, tiled
 from rve.table import RowQuality, StrainTable
 
-BLOCK = 256
+BLOCK = 512
 """Cases advanced together: enough to hide the overhead of Python, few enough to stay in the cache."""
 
 

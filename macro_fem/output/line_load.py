@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from macro_fem.fem.cells import triangle_areas
 from macro_fem.output.forces import PointForce, point_forces
 from macro_fem.solution import CurtainSolution
-from rve.common import Array
+from rve.common import Array, digits
 
 PIECES = 8.0
 """Cells larger than the averaging area's diameter over this are cut into pieces: the mean is known to a part in 100."""
@@ -81,7 +81,7 @@ def warning(solution: CurtainSolution, peak: Extreme, mean: Extreme | None, area
     text += ": judge the rings by max_line_load_over_a_cell_N_per_mm"
     least = FINE * np.sqrt(area)
     if side > least:
-        text += f", which needs mesh cells of {least:.2g} mm there, less than the {side:.3g} mm of this mesh"
+        text += f", which needs mesh cells of {least:.2g} mm there, less than the {digits(side)} mm of this mesh"
     return text
 
 

@@ -15,7 +15,7 @@ from macro_fem.output.forces import LOAD, point_loads
 from macro_fem.output.space_view import LONGEST, Titled, draw_curtain, drawn, line_load_scale, save_panels, title
 from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution
-from rve.common import Array, InputError, check_out_file, require
+from rve.common import Array, InputError, check_out_file, digits, require
 from rve.common.drawing import space
 from rve.common.drawing.page import check_page, write_page
 from rve.common.drawing.plane import Scale, new_axes, new_figure, save_figure
@@ -212,7 +212,7 @@ def _loads(solution: CurtainSolution, ax: Axes) -> None:
         size = LONGEST * solution.problem.mesh.size
         ax.update_datalim(at + size * force / longest)
         ends: Any = {"angles": "xy", "scale_units": "xy", "scale": longest / size, "width": 0.009}
-        told = f"load at a point, up to {longest:.3g} N"
+        told = f"load at a point, up to {digits(longest)} N"
         ax.quiver(*at.T, *force.T, color=LOAD, ec="white", lw=0.5, zorder=6, label=told, **ends)
         ax.autoscale_view()
 

@@ -17,7 +17,7 @@ from macro_fem.scene.obstacles import Box, Cylinder, Floor, PlacedObstacle, Sphe
 from macro_fem.scene.sites import Hanging
 from macro_fem.scene.tables import in_3d
 from macro_fem.solution import CurtainSolution
-from rve.common import Array
+from rve.common import Array, digits
 from rve.common.drawing import space
 from rve.common.drawing.plane import Scale, rounded_up
 
@@ -106,7 +106,7 @@ def draw_curtain(
     for (name, colour, forces), largest in zip(FORCES, frame.largest, strict=True):
         at, force = forces(solution)
         shown = space.arrows(at, frame.arrow * force, LEAST_ARROW * LONGEST * frame.size)
-        space.add(plotter, f"{name}, longest {largest:.3g} N", shown, colour)
+        space.add(plotter, f"{name}, longest {digits(largest)} N", shown, colour)
     down = np.abs(solution.problem.scene.load.acceleration)
     if down[1] == down.max():  # a sheet whose weight acts along z lies level: nobody stands beside it
         _add_surroundings(plotter, curtain, frame, ground)
@@ -136,7 +136,7 @@ def title(solution: CurtainSolution) -> str:
     """What a picture is headed by."""
     load = float(np.linalg.norm(solution.problem.force.sum(axis=0)))
     height = f"mean height {solution.mean_height():.1f} mm, lowest point {solution.x[:, 1].min():.1f} mm"
-    return f"total load {load:.4g} N, {height}"
+    return f"total load {digits(load, 4)} N, {height}"
 
 
 def sheet(solution: CurtainSolution, scale: Scale) -> PolyData:

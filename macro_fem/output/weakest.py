@@ -12,6 +12,7 @@ import numpy as np
 from macro_fem.output.forces import support_rows
 from macro_fem.output.strength import UNLOADED
 from macro_fem.scene.tables import Combination
+from rve.common import digits
 
 OF_FORCE = (
     "triangles there are too large for an average over one cell of the rings, so for the mesh the factor is that of "
@@ -54,7 +55,7 @@ def links(summary: dict[str, Any]) -> list[Link]:
         if capacity is not None and force > UNLOADED * capacity:
             kind = "runner" if support["support"] == "track" else support["support"].removesuffix("s")
             of = f" of support {number}" if len(supports) > 1 else ""
-            text = f"{kind}s of support {number} bear up to {force:.4g} N of {capacity:g} N"
+            text = f"{kind}s of support {number} bear up to {digits(force, 4)} N of {capacity:g} N"
             found.append(Link(capacity / force, f"{kind} capacity{of}", text))
     return sorted(found)
 
@@ -75,15 +76,15 @@ def holds_line(summary: dict[str, Any]) -> str:
     found, is_coarse = links(summary), summary["utilisation_mesh_too_coarse"]
     least = found[0].factor if found else float("inf")
     if least < 1.0:
-        parts = [f"does not hold, factor {least:.3g}"]
+        parts = [f"does not hold, factor {digits(least)}"]
     elif summary["strength_note"] is not None and summary["utilisation_of_averages_max"] is None:
         parts = [f"strength of the rings not known: {summary['strength_note']}"]
     else:
-        parts = [f"holds with a factor {'of at most ' if is_coarse else ''}{least:.3g}" if found else "no load"]
+        parts = [f"holds with a factor {'of at most ' if is_coarse else ''}{digits(least)}" if found else "no load"]
     for number, link in enumerate(found):
         material = f"({summary['ring_material']}, {summary['ring_yield_N_per_mm2'] or 0.0:g} N/mm2)"
         verb = "yields" if link.text.startswith("the ") else "yield"
-        of_rings = f"would yield first {material}" if not number else f"{verb} at {link.factor:.3g} times the load"
+        of_rings = f"would yield first {material}" if not number else f"{verb} at {digits(link.factor)} times the load"
         parts.append(link.text if "capacity" in link.name else f"{link.text} {of_rings}")
     averages, points, _ = (summary[key] or 0.0 for key in UTILISATIONS)
     if is_coarse:

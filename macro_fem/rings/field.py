@@ -15,7 +15,7 @@ from macro_fem.fem.cells import padded
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites
 from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestPoses
-from rve.common import Array, Index, as_html, csv_text, job, versions, write_text
+from rve.common import Array, Index, as_html, csv_text, digits, job, versions, write_text
 from rve.common.drawing.page import write_page
 from rve.common.drawing.space import save_picture
 
@@ -198,9 +198,10 @@ class RingField:
 
     def __str__(self) -> str:
         counts = ", ".join(f"{count} {name}" for name, count in self.summary["cells_by_status"].items())
+        force = digits(self.summary["largest_contact_force_N"], 4)
         return (
             f"RingField: {len(self)} rings in {len(self.states.E)} cells ({counts}), {self.fit.linked} of "
-            f"{self.fit.links} links intact, contact forces up to {self.summary['largest_contact_force_N']:.4g} N"
+            f"{self.fit.links} links intact, contact forces up to {force} N"
         )
 
     __repr__ = __str__

@@ -27,6 +27,7 @@ from .records import Index as Index
 from .records import Rows as Rows
 from .texts import as_html as as_html
 from .texts import csv_text as csv_text
+from .texts import digits as digits
 from .texts import number_column as number_column
 from .texts import numbers_of as numbers_of
 from .texts import read_columns as read_columns

@@ -144,6 +144,15 @@ def numbers_of(text: str, option: str, form: str = "") -> list[float]:
     return values
 
 
+def digits(value: float, count: int = 3) -> str:
+    """A number with `count` digits, without an exponent between 1e-3 and 1e6.
+
+    >>> digits(1234.5), digits(0.00123456, 4), digits(1.25e7)
+    ('1230', '0.001235', '1.25e+07')
+    """
+    return f"{float(f'{value:.{count}g}'):g}"
+
+
 def csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
     """Rows as CSV below a line of names.
 

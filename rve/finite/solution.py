@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common import Array, as_html
+from rve.common import Array, as_html, digits
 from rve.common.drawing.page import write_page
 from rve.drawn import DrawnRings
 from rve.finite.equations import gradients, spread
@@ -168,7 +168,7 @@ class FiniteSolution:
             at, forces = self.centre[held], self.reaction[held]
             largest, size = np.linalg.norm(forces, axis=1).max(), float(np.linalg.norm(np.ptp(self.centre, axis=0)))
             add(plotter, "held rings", balls(at, max(0.5 * self.mesh.cell.r1, 0.004 * size)), GREEN)
-            name = f"force of supports, longest {largest:.3g} N"
+            name = f"force of supports, longest {digits(largest)} N"
             add(plotter, name, arrows(at, 0.15 * size * forces / largest), BLUE)
             look(plotter, THREE_QUARTERS)
         return plotter

@@ -17,6 +17,7 @@ from rve.common.drawing.space import parts
 from rve.common.errors import require
 from rve.common.files import AnyPath, write_text
 from rve.common.progress import tell
+from rve.common.texts import digits
 
 if TYPE_CHECKING:
     from pyvista import Plotter
@@ -123,7 +124,7 @@ def _colours(values: Any, scale: Scale, of_lines: bool) -> dict[str, Any]:
     bar |= {"x": RIGHT, "xanchor": "right"}
     if scale.spread == "log":
         ticks = np.linspace(low, top, 6)
-        bar |= {"tickvals": ticks.tolist(), "ticktext": [f"{10.0**tick:.2g}" for tick in ticks]}
+        bar |= {"tickvals": ticks.tolist(), "ticktext": [digits(10.0**tick, 2) for tick in ticks]}
     found = {"colorscale": colours, "cmin": low, "cmax": low + share * (top - low), "colorbar": bar, "showscale": True}
     hover = {"hovertemplate": f"{scale.label}: %{{customdata:.4g}}<extra></extra>", "customdata": values}
     own = {"line": found | {"color": shown}} if of_lines else found | {"intensity": shown}

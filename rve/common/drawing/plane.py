@@ -12,6 +12,7 @@ import numpy as np
 from rve.common.errors import InputError, require
 from rve.common.files import atomic_path
 from rve.common.records import Array
+from rve.common.texts import digits
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,7 +90,7 @@ class Scale:
     @property
     def title(self) -> str:
         """The label, and the largest value if it is above the scale."""
-        return self.label + (f"; arrow: up to {self.largest:.3g}" if self.is_exceeded else "")
+        return self.label + (f"; arrow: up to {digits(self.largest)}" if self.is_exceeded else "")
 
     def colour_map(self) -> Colormap:
         """The colours for matplotlib and pyvista."""
