@@ -43,7 +43,8 @@ def curtain_lines(summary: dict[str, Any], out: Path, *, explain: bool) -> Itera
 
 
 def _heights(summary: dict[str, Any]) -> str:
-    return f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm"
+    out = f", up to {summary['out_of_plane_mm']:.3f} mm out of its plane" if "out_of_plane_mm" in summary else ""
+    return f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm{out}"
 
 
 def motion_lines(summary: dict[str, Any], out: Path) -> list[str]:
@@ -88,9 +89,10 @@ def ring_field_lines(found: dict[str, Any], out: Path) -> Iterator[str]:
 
 
 def hooks_lines(summary: dict[str, Any]) -> list[str]:
-    """How far apart the hooks and runners of each support are, and whether that is what the scene asks for.
+    """How far apart the hooks and runners of each support are, whether that is what the scene asks for, and which
+    points count for another support.
 
-    >>> one = {"support": "hooks", "nodes_held": 24, "pitch_mm": 130.4348, "pitch_asked_mm": 129.0}
+    >>> one = {"support": "hooks", "nodes_held": 24, "points": [0] * 24, "pitch_mm": 130.4348, "pitch_asked_mm": 129.0}
     >>> hooks_lines({"support_forces": [one]})
     ['hooks: 24, 130.435 mm apart; pitch = 129 does not divide the edge, count = 24 asks for these']
     """
@@ -101,6 +103,8 @@ def hooks_lines(summary: dict[str, Any]) -> list[str]:
             differs = asked is not None and abs(pitch - asked) > 1e-9 * asked
             note = f"; pitch = {asked:g} does not divide the edge, count = {count} asks for these" if differs else ""
             lines.append(f"{one['support']}: {count}, {pitch:g} mm apart{note}")
+        if both := one["nodes_held"] - len(one["points"]):
+            lines.append(f"{one['support']}: the forces of {both} of its points count for a support before it")
     return lines
 
 

@@ -8,19 +8,21 @@ from typing import Any
 
 import numpy as np
 
+from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import padded
 from macro_fem.problem import CurtainProblem
+from macro_fem.scene.loads import wind_per_area
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.sites import point_node
-from macro_fem.scene.tables import PatchLoad, PointLoad, in_3d
+from macro_fem.scene.tables import PatchLoad, PointLoad, Wind, in_3d
 from macro_fem.solution import CurtainSolution
 from rve.common import Array
 
 TOUCHES = 1e-6
 """A push below this part of the loads does not count as contact of its node."""
-LOAD = "#7b2cbf"
-MOST_ARROWS = 14
-"""Forces of a support along an edge, and of all obstacles, are summed up into this many arrows."""
+MOST_ARROWS = 16
+"""Forces of a support along an edge, of all obstacles, and of wind, are summed up into this many arrows; halves of
+halves make them equal."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
     """Force of each support on the curtain in N, in sum and at each of its nodes, and what it holds.
 
     A component held by two supports counts for the first, so that the forces of all points balance the loads;
-    `nodes_held` and `length_held_mm` also count what an earlier support holds.
+    `nodes_held`, `length_held_mm` and `largest_nodal_force_N` are also of what an earlier support holds.
     """
     problem, reactions = solution.problem, solution.reactions
     taken = np.zeros(reactions.shape, bool)
@@ -69,10 +71,10 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
     for number, (item, held) in enumerate(zip(problem.scene.support, problem.supports.held, strict=True)):
         own = np.zeros_like(taken)
         own[held.nodes] = held.mask
+        largest = float(np.linalg.norm(np.where(own, reactions, 0.0), axis=1).max())
         own &= ~taken
         taken |= own
         part = np.where(own, reactions, 0.0)
-        largest = float(np.linalg.norm(part, axis=1).max())
         columns = {"at_mm": problem.disc.nodes, "force_N": part}
         columns |= {"place_mm": solution.x} if part.shape[1] == 3 else {}
         found = {"support": held.name, "force_N": part.sum(axis=0).tolist(), "largest_nodal_force_N": largest}
@@ -171,6 +173,18 @@ def point_loads(solution: CurtainSolution) -> tuple[Array, Array]:
     return padded(solution.x)[nodes], problem.factor * forces
 
 
+def winds(solution: CurtainSolution) -> tuple[Array, Array]:
+    """Places (k, 3) and forces (k, 3) of wind, summed up; in motion of pressure that does not follow."""
+    problem, scene = solution.problem, solution.problem.scene
+    nodal = np.zeros(problem.force.shape)
+    if problem.winds and problem.wind is not None:
+        nodal += load_vector(problem.disc, np.tile(problem.wind, (problem.disc.n_quad, 1)))
+    for wind in (one for one in scene.of(Wind) if one.speed is None and not one.follows):
+        nodal += problem.factor * load_vector(problem.disc, wind_per_area(wind, scene, None))
+    groups = halved(padded(solution.x), np.arange(len(nodal)), MOST_ARROWS) if nodal.any() else []
+    return _summed_up(solution, nodal, groups)
+
+
 def halved(x: Array, nodes: np.ndarray, most: int) -> list[np.ndarray]:
     """The nodes, of places x (n, 3), in at most `most` groups: halved along the longer extent again and again.
 
@@ -193,8 +207,9 @@ def _summed_up(solution: CurtainSolution, forces: Array, groups: list[np.ndarray
 
 
 FORCES = (
-    ("force of supports", "#d7263d", pulls),
-    ("force of obstacles", "#e07b00", pushes),
-    ("load at a point", LOAD, point_loads),
+    ("force of supports", "#d7263d", pulls, 1),
+    ("force of obstacles", "#e07b00", pushes, 1),
+    ("load at a point", "#7b2cbf", point_loads, 1),
+    ("wind", "#3a86ff", winds, -1),
 )
-"""Names, colours, and places with forces of the arrows."""
+"""Names, colours, and places with forces of the arrows, which begin there, or end there where the last number is -1."""

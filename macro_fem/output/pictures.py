@@ -11,7 +11,7 @@ import numpy as np
 
 from macro_fem.output import strength
 from macro_fem.output.files import corner_positions
-from macro_fem.output.forces import LOAD, point_loads
+from macro_fem.output.forces import FORCES
 from macro_fem.output.space_view import LONGEST, Titled, draw_curtain, drawn, line_load_scale, save_panels, title
 from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution
@@ -205,16 +205,17 @@ def _directions(solution: CurtainSolution, principal: tuple[Array, Array], scale
 
 
 def _loads(solution: CurtainSolution, ax: Axes) -> None:
-    """Loads at points as arrows, the longest a part of the size of the mesh."""
-    at, force = (part[:, :2] for part in point_loads(solution))
-    longest = float(np.linalg.norm(force, axis=1).max(initial=0.0))
-    if longest > 0.0:
-        size = LONGEST * solution.problem.mesh.size
-        ax.update_datalim(at + size * force / longest)
-        ends: Any = {"angles": "xy", "scale_units": "xy", "scale": longest / size, "width": 0.009}
-        told = f"load at a point, up to {digits(longest)} N"
-        ax.quiver(*at.T, *force.T, color=LOAD, ec="white", lw=0.5, zorder=6, label=told, **ends)
-        ax.autoscale_view()
+    """Loads at points and wind as arrows, the longest of each a part of the size of the mesh."""
+    size = LONGEST * solution.problem.mesh.size
+    for name, colour, forces, way in FORCES[2:]:
+        at, force = (part[:, :2] for part in forces(solution))
+        longest = float(np.linalg.norm(force, axis=1).max(initial=0.0))
+        if longest > 0.0:
+            ax.update_datalim(at + way * size * force / longest)
+            ends: Any = {"angles": "xy", "scale_units": "xy", "scale": longest / size, "width": 0.009}
+            ends |= {"pivot": "tail" if way > 0 else "tip", "label": f"{name}, up to {digits(longest)} N"}
+            ax.quiver(*at.T, *force.T, color=colour, ec="white", lw=0.5, zorder=6, **ends)
+            ax.autoscale_view()
 
 
 def one_per_square(points: Array, chosen: np.ndarray, number: int) -> np.ndarray:

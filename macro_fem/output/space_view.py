@@ -68,9 +68,10 @@ class PictureFrame:
     @classmethod
     def of(cls, steps: Sequence[CurtainSolution]) -> PictureFrame:
         """The frame of one solution, or of all load steps."""
-        each = [[forces(step) for step in steps] for _, _, forces in FORCES]
-        largest = tuple(max(np.linalg.norm(one, axis=1).max(initial=0.0) for _, one in kind) for kind in each)
-        at, force = (np.concatenate(parts) for parts in zip(*(one for kind in each for one in kind), strict=True))
+        each = [[(forces(step), way) for step in steps] for _, _, forces, way in FORCES]
+        largest = tuple(max(np.linalg.norm(one, axis=1).max(initial=0.0) for (_, one), _ in kind) for kind in each)
+        both = ((at, way * force) for kind in each for (at, force), way in kind)
+        at, force = (np.concatenate(parts) for parts in zip(*both, strict=True))
         room = box_of(np.concatenate([padded(corner_positions(step)) for step in steps]))
         size = float(np.linalg.norm(room[1] - room[0]))
         arrow = LONGEST * size / max(*largest, 1e-300)
@@ -103,9 +104,10 @@ def draw_curtain(
             opacity = 0.35 if isinstance(item, Wall) else space.BODY_OPACITY
             is_round = isinstance(item, Sphere | Cylinder)
             space.add(plotter, item.name, mesh, space.BODY, opacity=opacity, smooth_shading=is_round)
-    for (name, colour, forces), largest in zip(FORCES, frame.largest, strict=True):
+    for (name, colour, forces, way), largest in zip(FORCES, frame.largest, strict=True):
         at, force = forces(solution)
-        shown = space.arrows(at, frame.arrow * force, LEAST_ARROW * LONGEST * frame.size)
+        begin = at - (way < 0) * frame.arrow * force
+        shown = space.arrows(begin, frame.arrow * force, LEAST_ARROW * LONGEST * frame.size)
         space.add(plotter, f"{name}, longest {digits(largest)} N", shown, colour)
     down = np.abs(solution.problem.scene.load.acceleration)
     if down[1] == down.max():  # a sheet whose weight acts along z lies level: nobody stands beside it
@@ -136,7 +138,8 @@ def title(solution: CurtainSolution) -> str:
     """What a picture is headed by."""
     load = float(np.linalg.norm(solution.problem.force.sum(axis=0)))
     height = f"mean height {solution.mean_height():.1f} mm, lowest point {solution.x[:, 1].min():.1f} mm"
-    return f"total load {digits(load, 4)} N, {height}"
+    out = np.abs(solution.x[:, 2:]).max(initial=0.0)
+    return f"total load {digits(load, 4)} N, {height}" + (f", {out:.1f} mm out of its plane" if out > 0.05 else "")
 
 
 def sheet(solution: CurtainSolution, scale: Scale) -> PolyData:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import macro_fem
-from macro_fem.output.forces import pulls
+from macro_fem.output.forces import pulls, winds
 from macro_fem.output.space_view import drawn
 from rve.common.drawing.space import parts
 from rve.common.errors import InputError
@@ -12,7 +12,8 @@ from tests.films import film_of
 from tests.test_macro_fem.sheets import sheet
 
 ENDS = [{"kind": "edge", "edge": "top"}, {"kind": "edge", "edge": "bottom", "move": [0, 260, 150]}]
-HAMMOCK = sheet(240, 300, 6, ENDS, load={"steps": 2, "point": {"at": [120, 100], "force": [0, 0, 9]}})
+POINT, WIND = {"at": [120, 100], "force": [0, 0, 9]}, {"pressure": 600, "direction": [0, 0, 1]}
+HAMMOCK = sheet(240, 300, 6, ENDS, load={"steps": 2, "point": POINT, "wind": WIND})
 PLANE = sheet(100, 80, 3, {"kind": "corners", "move": [0, 7]}, load={"steps": 2})
 
 
@@ -32,6 +33,7 @@ def test_arrows_of_supports_add_up_to_the_load(hammock):
     np.testing.assert_allclose(force.sum(axis=0), -hammock.solution.problem.force.sum(axis=0), atol=1e-6)
     on_edges = np.abs(at[:, None, 1] - [300.0, 260.0]).min(axis=1)
     assert on_edges.max() < 1e-9
+    np.testing.assert_allclose(winds(hammock.solution)[1].sum(axis=0), [0.0, 0.0, 6e-4 * 240.0 * 300.0])
 
 
 def test_pictures_of_a_series_share_the_ground_and_the_names_of_forces(hammock):

@@ -25,6 +25,7 @@ from macro_fem.scene.loads import disk_areas
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.meshing.nodes import LEAST_SINE
 from macro_fem.scene.scene import read_scene
+from macro_fem.told import hooks_lines
 from rve.common.errors import InputError
 from tests.test_macro_fem.sheets import least_angle
 
@@ -156,7 +157,7 @@ def test_hooks_are_evenly_spaced_along_an_arch():
 
 def test_a_node_of_two_supports_counts_once():
     """Top and left side share a corner: the points of both together balance the load and have the corner once."""
-    support = [{"kind": "top"}, {"kind": "edge", "edge": "left"}]
+    support = [{"kind": "top"}, {"kind": "edge", "edge": "left"}, {"kind": "point", "at": [0.0, 80.0]}]
     load = {"edge": {"edge": "bottom", "force": [0.02, -0.03]}}
     solution = solve_scene(scene(support, load=load, mesh={"cells": 6}), LAW)
     summary = summarize(solution)
@@ -167,8 +168,11 @@ def test_a_node_of_two_supports_counts_once():
         np.testing.assert_allclose(force.sum(axis=0), summary["support_forces"][number]["force_N"], atol=1e-12)
     together = np.concatenate(places).round(9).tolist()
     assert together.count([0.0, 80.0]) == 1
+    assert hooks_lines(summary)[1] == "point (0, 80): the forces of 1 of its points count for a support before it"
+    corner = np.linalg.norm(forces[0][together.index([0.0, 80.0])])
+    assert summary["support_forces"][2]["largest_nodal_force_N"] == pytest.approx(corner)
     held = [item["nodes_held"] for item in summary["support_forces"]]
-    assert summary["nodes_held"] == sum(held) - 1 == len(together)
+    assert summary["nodes_held"] == sum(held) - 2 == len(together)
     assert summary["length_held_mm"] == pytest.approx(180.0)
 
 
