@@ -51,7 +51,7 @@ class Row:
 @dataclass(frozen=True)
 class Size:
     """The largest `value` of what is varied, of r2 the least, where the factor is at least the one asked for; `curve`:
-    all values that were tried, in order; `note`: why the rings are not judged, None where they are."""
+    all values that were tried, in order; `note`: why the rings are not judged, or the next value has no answer."""
 
     vary: str
     value: float
@@ -97,12 +97,12 @@ def largest_that_holds(
     rows: dict[float, Row] = {}
 
     def use(value: float) -> float:
-        """Asked over found factor: at most 1 where the curtain holds, huge where there is no answer."""
+        """Asked over found factor: at most 1 where the curtain holds, inf where there is no answer."""
         if value not in rows:
             share = min(len(rows) / (COARSE + MOST), 0.95)
             with part_of(f"{vary} = {value:.6g}", share, share):
                 rows[value] = _row(scene, who, vary, value)
-        return factor / (rows[value].factor or 1e-300)
+        return np.inf if (known := rows[value].factor) is None else factor / known
 
     best = search(use, values[::-1] if vary == "r2" else values, between=not is_pitch)
     if best is None:
@@ -114,8 +114,10 @@ def largest_that_holds(
         raise InputError(f"{scene.source}: no {vary} from {low:g} to {high:g} holds with a factor {factor:g}: {why}")
     found = rows[best]
     assert found.factor is not None
-    curve = tuple(rows[value] for value in sorted(rows))
-    note = RINGS_NOT_JUDGED if found.safety_factor is None else None
+    tried = sorted(rows, reverse=vary == "r2")
+    after = rows[tried[min(tried.index(best) + 1, len(tried) - 1)]]
+    note = f"{vary} = {after.value:g} has no answer: {after.status}" if after.factor is None else None
+    note, curve = note if found.safety_factor else RINGS_NOT_JUDGED, tuple(rows[value] for value in sorted(rows))
     return Size(vary, best, found.safety_factor, found.factor, found.weakest, factor, curve, note)
 
 
@@ -137,7 +139,7 @@ def search(use: Callable[[float], float], values: Sequence[float], *, between: b
         if use(low) > 1.0 - CLOSE or abs(high - low) < CLOSE * abs(values[-1] - values[0]):
             break
         # Aimed a little below 1, so that the values that are tried end on the side that holds.
-        way = (1.0 - 0.5 * CLOSE - use(low)) / (use(high) - use(low))
+        way = (1.0 - 0.5 * CLOSE - use(low)) / (use(high) - use(low)) if use(high) < np.inf else 0.5
         value = low + (high - low) * min(max(way, 0.05), 0.95)
         low, high = (value, high) if use(value) <= 1.0 else (low, value)
     return low
@@ -145,8 +147,7 @@ def search(use: Callable[[float], float], values: Sequence[float], *, between: b
 
 def _pitches(scene: Scene, who: Any, low: float, high: float) -> list[float]:
     """The pitches from `low` to `high` that divide the edge of the first row of hooks, in order."""
-    told = _summary(scene, who, "pitch", high)["support_forces"]
-    row = next(one for one in told if one.get("pitch_mm") is not None)
+    row = next(one for one in _summary(scene, who, "pitch", high)["support_forces"] if one.get("pitch_mm") is not None)
     length = row["pitch_mm"] * (row["nodes_held"] - 1)
     counts = range(int(np.floor(length / low * (1.0 + 1e-9))), int(np.ceil(length / high * (1.0 - 1e-9))) - 1, -1)
     found = [length / count for count in counts if count > 0]
