@@ -81,8 +81,9 @@ def ring_field_lines(found: dict[str, Any], out: Path) -> Iterator[str]:
     if found["curtain_status"] not in ("converged", "unknown"):
         yield f"the curtain is not solved: its status is {found['curtain_status']} (summary.json)"
     worst = found["worst_cell"]
-    where = f"of {worst['contacts']} contacts in cell {worst['cell']}, which has the largest line load"
-    yield f"forces between rings away from supports: at most {digits(worst['largest_force_N'], 4)} N, {where}"
+    most = digits(max(found["largest_contact_force_N"], worst["largest_force_N"]), 4)
+    where = f"in cell {worst['cell']}, which has the largest line load, {digits(worst['largest_force_N'], 4)} N"
+    yield f"forces between rings away from supports: at most {most} N; {where} at {worst['contacts']} contacts"
     if held := found["ring_at_support"]:
         yield f"the ring at {held['support']} that takes most is pulled by {digits(held['force_N'], 4)} N"
     yield from (f"{name}: {text}" for name, text in found["meanings"].items() if name != "met")
