@@ -31,8 +31,8 @@ MOST_ROWS = 44
 LIMITS = (
     "Rings are tori in contact without friction. Where the mesh is locked it gives no more, or as much as its rings "
     "bend; friction would hold folds that are shown as free to slip.",
-    "The mesh is a homogenized membrane: holes, seams and repairs are not in it. Forces at a hook are those of the "
-    "rings that share it, as the scene states.",
+    "The mesh is a homogenized membrane with the holes of the scene; seams and repairs are not in it. Forces at a hook "
+    "are those of the rings that share it, as the scene states.",
     "Factors are times all loads until the first ring yields, or a hook reaches its stated capacity, at the shape that "
     "is shown. They are no margin for wear, fatigue, impact, or wire weaker than stated. Partial factors are those of "
     "the load combinations, if there are any.",
