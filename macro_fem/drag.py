@@ -150,8 +150,6 @@ def _line(solution: CurtainSolution, wind: Wind) -> dict[str, float]:
         "drag_coefficient": float(layered_drag(cell, np.ones(1))[0]),
         "pressure_N_per_m2": wind_pressure(wind, cell) / PER_MM2,
     }
-    if problem.fem.d == 2:
-        return told | {"front_area_m2": 0.0, "drag_N": 0.0}
     a = vector_areas(problem, solution.F)
     layers, reference = layers_of(problem, wind, solution.x, a), problem.disc.cell_area
     front = float(reference @ (1.0 / layers))

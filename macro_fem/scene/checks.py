@@ -56,6 +56,8 @@ def _contradictions(scene: Scene) -> Iterator[str]:
     changes = any(is_live) or any(any(getattr(item, "move", ())) for item in scene.items)
     if steps > 1 and not changes:
         yield f"[load] steps = {steps}: has no effect without live loads and moves"
+    if any(wind.speed is not None for wind in scene.of(Wind)) and not scene.in_space:
+        yield "[load.wind] speed: has no effect on a plane sheet along direction; give that a third component"
     if scene.solver.is_bounded:
         check_bounds(scene, "[solver] bounds and adapt:")
 

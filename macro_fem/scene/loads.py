@@ -57,9 +57,7 @@ def weight_per_area(scene: Scene, cell: CellInfo | None) -> Array:
 
 
 def wind_per_area(wind: Wind, scene: Scene, cell: CellInfo | None) -> Array:
-    """The force of a wind on the flat sheet square to it (d,), N/mm2; 0 of a speed in the plane: no front."""
-    if scene.d == 2 and wind.speed is not None:
-        return np.zeros(2)
+    """The force of a wind on the flat sheet square to it (d,), N/mm2."""
     return np.asarray(wind_pressure(wind, cell) * unit(wind.direction)[: scene.d])
 
 

@@ -57,7 +57,7 @@ combination = [{bar = 1}] -> [combination] name: is missing
 load.wind = {direction = [0, 0, 1]} -> [load.wind] pressure: is missing; give it in N/m2, or speed in m/s
 load.wind = {direction = [0, 0, 0], pressure = 1} -> direction = [0.0, 0.0, 0.0]: has no direction
 load.wind = {direction = [0, 0, 1], pressure = 5, speed = 3} -> speed = 3: is not used together with pressure
-support = {kind = "edge", edge = "top", held = "y"}; load.wind = {pressure = 6, direction = [0, 0, -2]} -> N along z
+load.wind = {speed = 6, direction = [1, 0]} -> [load.wind] speed: has no effect on a plane sheet along direction
 support = {kind = "edge", edge = "top", held = "xy"}; load.point = {at = [0, 0], force = [0, 0, 1]} -> 1 N along z
 support = {kind = "edge", edge = "top", held = "yz"}; load.wind = {pressure = 4, direction = [1, 0, 1]} -> along x
 support = {kind = "edge", edge = "top", held = "xz"}; load.wind = {pressure = 6, direction = [0, 0, 1]} -> along y
