@@ -100,15 +100,14 @@ def tensile_part(S: Array) -> Array:
 def hull_of(S: Array, is_mirrored: bool) -> Array:
     """Corners (k, 2) in the disc of the hull of loads S (n, 3), mirror images included, in turn.
 
-    InputError for loads on one line.
+    InputError for fewer than four loads, and loads on one line.
     """
     x = disc(np.vstack([S, mirror(S[np.abs(S[:, 1]) > SAME])]) if is_mirrored else S)
-    try:
-        return np.asarray(x[ConvexHull(x).vertices])
-    except QhullError as error:
-        raise InputError(
-            "the rows' loads lie on one line: a law needs loads that differ in angle and in ratio"
-        ) from error
+    few = len(np.unique(np.round(x / SAME), axis=0)) < 4
+    if few or np.linalg.matrix_rank(x - x[0], SAME) < 2:
+        what = "are fewer than four" if few else "lie on one line"
+        raise InputError(f"the rows' loads {what}: a law needs loads that differ in angle and in ratio")
+    return np.asarray(x[ConvexHull(x).vertices])
 
 
 def folds_of(S: Array, is_mirrored: bool) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:

@@ -29,7 +29,7 @@ from macro_fem.scene.sites import edge_nodes
 from macro_fem.scene.tables import Bar, EdgeLoad
 from macro_fem.solution import CurtainSolution
 from rve import pulled_ring
-from rve.common import Array
+from rve.common import Array, InputError
 from rve.common.tensor import dyad, eigenvalues
 
 EVEN = 1.05
@@ -110,6 +110,10 @@ def judged_by(law: HungLaw) -> tuple[Strength, CellInfo] | str:
         )
     if known.material.yield_N_per_mm2 is None:
         return f"{known.material.name} has no yield stress: make the table with rve table --rings --yield"
+    try:
+        known.utilisation(np.array([[0.5, 0.0, 0.5]]))
+    except InputError as error:  # too few loads, or on one side
+        return f"{error}: make its table of more loads"
     return "the law has no cell to average the line load over" if law.cell is None else (known, law.cell)
 
 

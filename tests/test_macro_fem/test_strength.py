@@ -206,6 +206,7 @@ def test_laws_that_do_not_know_say_so(tmp_path):
         (ring_net(default_law().cell), "make its table with rve table --rings"),
         (replace(default_law(), strength=None), "make its table with rve table --rings"),
         (with_yield(None), "steel has no yield stress"),
+        (replace(default_law(), strength=default_law().strength.take(np.arange(5))), "on one line"),
     ):
         told = summarize(hung(law))
         assert told["utilisation_max"] is told["safety_factor"] is told["collapse_factor"] is None
