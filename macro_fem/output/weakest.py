@@ -110,11 +110,12 @@ def envelope(found: Sequence[tuple[Combination, Mapping[str, Any]]]) -> dict[str
     worst = max(rows, key=lambda row: row["largest_force_N"])
     if all(row["weakest_factor"] is not None for row in rows):
         worst = min(rows, key=lambda row: row["weakest_factor"])
-    points = []
-    for each in zip(*(support_rows(one["support_forces"])[1] for _, one in found), strict=True):
-        sizes = [float(np.linalg.norm(row[4:7])) for row in each]  # of the components of the force
-        most = int(np.argmax(sizes))
-        own = {"force_N": sizes[most], "combination": found[most][0].name}
-        points.append(dict(zip(("support_number", "support", "x_mm", "y_mm"), each[0], strict=False)) | own)
-    told = {key: worst[key] for key in ("safety_factor", "weakest", "weakest_factor")}
-    return {"combinations": rows, "envelope": {"governing": worst["name"], **told, "support_forces": points}}
+    points: dict[tuple[Any, ...], dict[str, Any]] = {}  # by places: each combination may have refined its own mesh
+    for combination, summary in found:
+        for row in support_rows(summary["support_forces"])[1]:
+            own = dict(zip(("support_number", "support", "x_mm", "y_mm"), row, strict=False))
+            own |= {"force_N": float(np.linalg.norm(row[4:7])), "combination": combination.name}
+            place = row[0], *np.round(row[2:4], 6)
+            points[place] = max(points.get(place, own), own, key=lambda one: one["force_N"])
+    told = {"governing": worst["name"]} | {key: worst[key] for key in ("safety_factor", "weakest", "weakest_factor")}
+    return {"combinations": rows, "envelope": told | {"support_forces": list(points.values())}}

@@ -14,6 +14,7 @@ import macro_fem
 from homogenize import fit
 from macro_fem import Bar, Combination, Corners, EdgeLoad, Hooks, Mesh, Rectangle, Scene, Wind, solve
 from macro_fem.cli import main
+from macro_fem.output import weakest
 from macro_fem.size import search
 from macro_fem.told import governing_line
 from rve import Cell, grid, solve_table, with_rings
@@ -63,9 +64,13 @@ def test_factors_scale_forces_of_a_shape_that_stays():
     assert governing_line(summary | {"combinations": [own | {"status": "infeasible"}]}).endswith("no answer for all")
     assert envelope["weakest_factor"] == own["weakest_factor"] < light["weakest_factor"]
     weight = 9.81 * (summary["mass_kg"] + 0.5 * 2.0)
-    (_, found) = answer.combinations[1]
-    assert sum(one["force_N"][1] for one in found.summary["support_forces"]) == pytest.approx(weight, rel=1e-6)
+    forces = answer.combinations[1][1].summary["support_forces"]
+    assert sum(one["force_N"][1] for one in forces) == pytest.approx(weight, rel=1e-6)
     assert [row["combination"] for row in envelope["support_forces"]] == ["all"] * 2
+    apart = {"points": [{"at_mm": [9.0, 9.0], "force_N": [0.0, 4.0]}]}  # of a mesh that was refined elsewhere
+    other = summary | {"support_forces": [summary["support_forces"][0] | apart]}
+    both = weakest.envelope([(factors[0], summary), (factors[1], other)])
+    assert [row["combination"] for row in both["envelope"]["support_forces"]] == ["all", "all", "light"]
 
 
 @pytest.mark.slow
