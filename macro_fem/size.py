@@ -12,6 +12,7 @@ import numpy as np
 from homogenize import LawInterval, MembraneLaw, fit
 from macro_fem.demand.options import OnDemand
 from macro_fem.job import solve
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import Rectangle
 from macro_fem.scene.tables import Bar, Item, Wind
@@ -93,7 +94,7 @@ def largest_that_holds(
     if not 0.0 < factor < np.inf:
         raise InputError(f"--factor = {factor:g}: must be positive")
     is_pitch = vary == "pitch"
-    values = _pitches(scene, who, low, high) if is_pitch else np.linspace(low, high, COARSE).tolist()
+    values = _pitches(scene, low, high) if is_pitch else np.linspace(low, high, COARSE).tolist()
     rows: dict[float, Row] = {}
 
     def use(value: float) -> float:
@@ -145,10 +146,9 @@ def search(use: Callable[[float], float], values: Sequence[float], *, between: b
     return low
 
 
-def _pitches(scene: Scene, who: Any, low: float, high: float) -> list[float]:
-    """The pitches from `low` to `high` that divide the edge of the first row of hooks, in order."""
-    row = next(one for one in _summary(scene, who, "pitch", high)["support_forces"] if one.get("pitch_mm") is not None)
-    length = row["pitch_mm"] * (row["nodes_held"] - 1)
+def _pitches(scene: Scene, low: float, high: float) -> list[float]:
+    """The pitches from `low` to `high` that divide the longest line of the first row of hooks, in order."""
+    length = next(iter(build_mesh(_changed(scene, "pitch", high), None).hooks.values())).length
     counts = range(int(np.floor(length / low * (1.0 + 1e-9))), int(np.ceil(length / high * (1.0 - 1e-9))) - 1, -1)
     found = [length / count for count in counts if count > 0]
     if not found:

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import macro_fem
 from homogenize import fit
-from macro_fem import Bar, Combination, Corners, EdgeLoad, Hooks, Mesh, Rectangle, Scene, Wind, solve
+from macro_fem import Bar, Combination, Corners, EdgeLoad, Hooks, Mesh, Outline, Rectangle, Scene, Wind, solve
 from macro_fem.cli import main
 from macro_fem.output import weakest
 from macro_fem.size import search
@@ -120,6 +120,9 @@ def test_a_pitch_finer_than_the_mesh_takes_more_cells():
     assert (found.value, found.note) == (pytest.approx(110.0), None)
     scene, law = replace(scene, items=(Hooks(pitch=110.0, capacity=9.0),)), fit(solve_table(Cell(), grid(15.0))).law
     assert "rve.with_rings" in macro_fem.largest_that_holds(scene, law, "pitch", (100.0, 120.0), 0.1).note
+    notched = Outline([(0, 0), (200, 0), (200, 150), (150, 150), (150, 120), (50, 120), (50, 150), (0, 150)])
+    two_lines = Scene(notched, [Hooks(pitch=50.0, capacity=1.0)], mesh=Mesh(cells=8))
+    assert macro_fem.largest_that_holds(two_lines, None, "pitch", (20.0, 50.0), 3.4).value == 25.0
 
 
 @pytest.mark.slow

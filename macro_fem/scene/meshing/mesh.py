@@ -36,9 +36,10 @@ CLEARANCE = 0.55
 
 @dataclass(frozen=True, eq=False)
 class HookRow:
-    """The hooks of one support: their nodes (k,), and the pitch that fits the edge, mm."""
+    """The hooks of one support: their nodes (k,), the longest line of the edge and the pitch that fits it, mm."""
 
     nodes: np.ndarray
+    length: float
     pitch: float
 
 
@@ -95,7 +96,7 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     wheres = [f"{scene.source}: {what}" for what, _ in wanted]
     cut, edges, nodes = with_nodes_at(mesh.mesh, mesh.edges, np.array([at for _, at in wanted]), wheres)
     own = np.split(nodes, np.cumsum([len(places) for places, _ in rows.values()]))
-    hooks = {n: HookRow(hung, pitch) for (n, (_, pitch)), hung in zip(rows.items(), own[:-1], strict=True)}
+    hooks = {n: HookRow(hung, *fit) for (n, (_, fit)), hung in zip(rows.items(), own[:-1], strict=True)}
     return replace(mesh, mesh=cut, edges=edges, hooks=hooks)
 
 
