@@ -19,7 +19,7 @@ from homogenize.directions import Directions, folds_of, tensile_part
 from rve import cauchy_line_load
 from rve.common import Array, InputError, Rows, Typed, as_html, read_entry, read_typed
 from rve.common.materials import Material, Stress
-from rve.common.rings import read_joint
+from rve.common.rings import Joint
 from rve.common.tensor import IDENTITY, WEIGHT, eigenvalues, trace
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ def strength_of_table(table: StrainTable) -> Strength | None:
     along = np.einsum("ni,nij,nj->n", S * WEIGHT, table.compliance[good], S)
     s = cauchy_line_load(table.alpha_deg[good], table.beta_deg[good])
     s = s / trace(s)[:, None]
-    joint = read_joint(table.provenance, where)
+    joint = Joint.of(table.provenance.get("joint", "welded"), f"{where} joint").name
     first, last = table.strength[good].T
     found = Strength(S, s, first, last, along, material, joint=joint, is_mirrored=table.is_mirrored)
     return replace(found, error=off_grid(found))
@@ -209,5 +209,5 @@ def read_strength(table: Any, where: str) -> Strength:
     first, last = np.array(found.first_yield_1_per_mm), np.array(found.collapse_1_per_mm)
     material = read_typed(Material, found.material, f"{where} material")
     along = np.array(found.compliance_mm_per_N, float)  # None becomes nan
-    joint = read_joint(table, where)
+    joint = Joint.of(table.get("joint", "welded"), f"{where} joint".lstrip()).name
     return Strength(S, cauchy, first, last, along, material, found.error, joint, found.is_mirrored)

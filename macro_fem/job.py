@@ -93,7 +93,7 @@ def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -
     steps = _steps(scene, inner, scene.load.steps)
     if steps[-1].status != "converged":
         raise InputError(f"{scene.source}: [solver] bounds: need a converged curtain: {steps[-1].message}")
-    levels = tuple(refined_levels(scene, inner, outer, mesh=steps[-1].problem.mesh, first=steps[-1]))
+    levels = tuple(refined_levels(scene, inner, outer, steps[-1]))
     return MembraneSolution(scene, (*steps[:-1], levels[-1].solution), levels)
 
 

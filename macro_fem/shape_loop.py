@@ -94,7 +94,7 @@ def solve_shape(
         if found.status in ("infeasible", "not_finite"):
             break
         change = wind_density(problem, found.x, sense) - wind
-        turned = _tangents(problem, found.x)
+        turned = [tangent_walls(body, problem.fem, found.x) for body in problem.bodies]
         record = _measure_settling(problem, found, turned, change, settled)
         record = replace(record, rounds=rounds, crossed=watch.deepest)
         if is_drag and mixer.idle > DRAG_IDLE:
@@ -138,7 +138,7 @@ def _approach(
         bodies = tuple(replace(one, factor=factors[1]) for one in problem.bodies)
         fem = problem.fem.moved((1.0 - part) * held + part * problem.fem.x_held) if part < 1.0 else problem.fem
         pushed, here = _push_out(problem, x, *factors, watch), replace(problem, fem=fem, bodies=bodies)
-        tangents = _tangents(here, pushed)
+        tangents = [tangent_walls(body, fem, pushed) for body in bodies]
         with part_of(f"moving into place, {100.0 * done:.0f} % done", done, part):
             found = solve(_pose(here, tangents, wind), last)
         if found.status == "infeasible" and stride > SHORTEST:
@@ -148,11 +148,6 @@ def _approach(
         if found.status == "infeasible" or part == 1.0:
             return tangents, found
         done, x, last = part, found.x, found
-
-
-def _tangents(problem: CurtainProblem, x: Array) -> list[Walls]:
-    """The half-spaces that touch each body, as seen from nodes at x (n_nodes, d)."""
-    return [tangent_walls(body, problem.fem, x) for body in problem.bodies]
 
 
 def _stride(problem: CurtainProblem, before: float) -> float:

@@ -90,8 +90,7 @@ def ring_field_lines(found: dict[str, Any], out: Path) -> Iterator[str]:
 
 
 def hooks_lines(summary: dict[str, Any]) -> list[str]:
-    """How far apart the hooks and runners of each support are, whether that is what the scene asks for, and which
-    points count for another support.
+    """How far apart hooks and runners are, whether as the scene asks, and how many points count for another support.
 
     >>> one = {"support": "hooks", "nodes_held": 24, "points": [0] * 24, "pitch_mm": 130.4348, "pitch_asked_mm": 129.0}
     >>> hooks_lines({"support_forces": [one]})
@@ -180,12 +179,8 @@ def side_by_side(summary: dict[str, Any]) -> list[str]:
 
 
 def _text(value: Any) -> str:
-    if isinstance(value, list):
-        return "; ".join("-" if force is None else _force(*force) for force in value)
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _force(x: float, y: float, z: float = 0.0) -> str:
-    """Components with three digits; the third one only where there is one beside the others."""
-    is_flat = abs(z) <= 1e-6 * max(abs(x), abs(y))
-    return " ".join(map(digits, (x, y) if is_flat else (x, y, z)))
+    """A number, or forces by their components, a third one where it counts beside the others."""
+    if not isinstance(value, list):
+        return f"{value:.6g}" if isinstance(value, float) else str(value)
+    flat = [force and force[: 2 if abs(force[-1]) <= 1e-6 * max(map(abs, force[:2])) else 3] for force in value]
+    return "; ".join("-" if force is None else " ".join(map(digits, force)) for force in flat)

@@ -27,7 +27,6 @@ class RingOptions(Typed):
     joint: str = "welded"
 
     def check(self) -> None:
-        """InputError for a joint that is none."""
         object.__setattr__(self, "joint", Joint.of(self.joint).name)
 
 

@@ -117,7 +117,8 @@ def bound(
     value = result.dual - float((dual.force * held).sum())
     tether_cost, moment = _tether_cost(dual, problem.law, result, held)
     lower = value - tether_cost - dual.point_load_cost + float((problem.force * problem.fem.reference).sum())
-    error = error_map(gradients, dual, result) + contact_error(solution.x, dual, result)
+    work = result.wall_forces * dual.walls.gap(at_dual_nodes(solution.x, dual.dual.mesh))  # pushes times distances
+    error = error_map(gradients, dual, result) + work.reshape(-1, dual.dual.disc.n_cells).sum(axis=0)
     points = upper - lower - float(error.sum())
     loads = None if outer is None else loads_of(area, solution.S, inner, problem.law)
     return CurtainBounds(
@@ -190,12 +191,6 @@ def _tether_cost(dual: DualProblem, law: MembraneLaw, result: PathResult, held: 
     return float(moved + moment.sum()), moment
 
 
-def contact_error(x: Array, dual: DualProblem, result: PathResult) -> Array:
-    """Pushes of walls on every triangle times the distance (n_cells,) of its middle in the P1 curtain x, N mm."""
-    work = result.wall_forces * dual.walls.gap(at_dual_nodes(x, dual.dual.mesh))
-    return np.asarray(work.reshape(-1, dual.dual.disc.n_cells).sum(axis=0))
-
-
 def error_map(F: Array, dual: DualProblem, result: PathResult) -> Array:
     """Integral of psi*(P) - P:F over every triangle (n_cells,), psi* from above by `result.psi`.
 
@@ -221,7 +216,6 @@ def levels(
     scene: Scene,
     law: MembraneLaw,
     outer: MembraneLaw | None = None,
-    mesh: CurtainMesh | None = None,
     first: CurtainSolution | None = None,
 ) -> Iterator[Level]:
     """The curtain on the scene's mesh and on `scene.solver.adapt` refinements of it, each with its bounds.
@@ -229,8 +223,7 @@ def levels(
     The lower bound is that of an `outer` law that contains `law`. `first`: the curtain of the admissible problem on the
     first mesh where it is solved already. Ends early if a solver did not converge.
     """
-    mesh = build_mesh(scene, law.cell) if mesh is None else mesh
-    solution = first
+    mesh, solution = build_mesh(scene, law.cell) if first is None else first.problem.mesh, first
     for number in range(scene.solver.adapt + 1):
         work = f"{mesh.mesh.t.shape[1]} cells"
         if solution is None or number:

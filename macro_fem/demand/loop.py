@@ -27,7 +27,7 @@ from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution
 from rve import Cell
-from rve.common import NO_CACHE, Array, Cache, InputError, part_of
+from rve.common import NO_CACHE, Cache, InputError, part_of
 from rve.common.tensor import disc
 
 LAW_SHARE, AGAIN = 0.15, 2.0
@@ -187,7 +187,8 @@ def _hang(
         if solution.status == "converged" or tries == 0:
             return solution, law
         tries -= 1
-        x = _widest(rings, _loads(solution, law, law.inner), QUESTIONS)
+        loads = _loads(solution, law, law.inner)
+        x = widest(disc(loads.S), loads.weight * loads.width, rings.x, QUESTIONS, rings.is_mirrored)
         law = rings.learn(np.vstack([x, between(np.vstack([rings.x, x]), QUESTIONS, rings.is_mirrored)]))
 
 
@@ -200,16 +201,11 @@ def _narrow(rings: Rings, law: LawInterval, solution: CurtainSolution, allowed: 
         loads, left = _loads(solution, law, law.inner), most - rings.solves
         if loads.law_part <= allowed or left <= 0:
             break
-        x = _widest(rings, loads, min(QUESTIONS, left))
+        x = widest(disc(loads.S), loads.weight * loads.width, rings.x, min(QUESTIONS, left), rings.is_mirrored)
         if not len(x):
             break
         law = rings.learn(x)
     return law
-
-
-def _widest(rings: Rings, loads: Loads, most: int) -> Array:
-    """At most `most` directions (n, 2) whose loads widen the interval most."""
-    return widest(disc(loads.S), loads.weight * loads.width, rings.x, most, rings.is_mirrored)
 
 
 def _loads(solution: CurtainSolution, law: LawInterval, inner: MembraneLaw) -> Loads:

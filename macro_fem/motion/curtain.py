@@ -41,7 +41,7 @@ from macro_fem.solution import CurtainSolution, InnerForces
 from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.path import PathResult
 from macro_fem.solvers.status import ROUNDING, Evidence
-from macro_fem.solvers.walls import Walls
+from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, InputError, NotConverged
 from rve.common.drawing.plane import save_figure
 from rve.common.drawing.space import THREE_QUARTERS
@@ -130,8 +130,8 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             contacts = Contacts(problem, balls, frame.problem, reach)
             end = solve_step(moving, change, forces, now.x, frame.cones, contacts.tangents)
             _check(end.result, now.t + h)
-            if not contacts.misses(end.x):
-                break
+            if max(contacts.depths(end.x), default=0.0) <= TOUCHED * self.size + 1e-7 * reach:
+                break  # else points without a half-space are inside a ball
         F = [gradient(fem.disc, x) for x in (now.x, end.x)]
         P = end.result.P
         held = support_forces(moving, change, forces, end, internal_force(fem.disc, P))

@@ -163,11 +163,6 @@ class Contacts:
         at = Points(self.n + np.column_stack([i, j]), np.tile([1.0, -1.0], (len(i), 1)))
         return [*found, Walls(at, normal, radius[i] + radius[j], -1 - i)]
 
-    def misses(self, x: Array) -> bool:
-        """Whether points without a half-space are inside a ball at the end x (n, d) of a step."""
-        allowed = TOUCHED * self.problem.mesh.size + 1e-7 * self.way
-        return bool(np.isfinite(self.way)) and max(self.depths(x), default=0.0) > allowed
-
     def depths(self, x: Array) -> list[float]:
         """Largest depth of points of the curtain inside each ball, mm; negative where all are outside."""
         at = self.problem.disc.meeting.places(x[: self.n])

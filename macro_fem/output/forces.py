@@ -21,8 +21,7 @@ from rve.common import Array
 TOUCHES = 1e-6
 """A push below this part of the loads does not count as contact of its node."""
 MOST_ARROWS = 16
-"""Forces of a support along an edge, of all obstacles, and of wind, are summed up into this many arrows; halves of
-halves make them equal."""
+"""Forces of an edge, of all obstacles and of wind are summed up into this many arrows, a power of two."""
 
 
 @dataclass(frozen=True)

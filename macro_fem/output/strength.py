@@ -77,7 +77,7 @@ def _numbers(solution: CurtainSolution, known: Strength, cell: CellInfo) -> dict
     """The values of `KEYS` where the strength is known, by what first yield and collapse ask of mesh and rings."""
     first, last = _largest_asked(solution, known, cell)
     mean, points, hook = first
-    pointwise = float(_utilisation(solution, known).max())
+    pointwise = float(known.utilisation(solution.problem.law.in_weave(_loads(solution))).max())
     most, collapse = (max(each, key=lambda one: one.value) for each in (first, last))
     mesh, area = solution.problem.mesh.mesh, solution.problem.disc.cell_area
     touching = np.abs(mesh.p[:, mesh.t] - mean.at[:, None, None]).max(axis=0) < 1e-9 * solution.problem.mesh.size
@@ -120,11 +120,7 @@ def judged_by(law: HungLaw) -> tuple[Strength, CellInfo] | str:
 def utilisation(solution: CurtainSolution) -> Array | None:
     """Utilisation of the rings of each cell (n_cells,), averaged over neighbours as S is; None if it is not known."""
     by = judged_by(solution.problem.law)
-    return None if isinstance(by, str) else _utilisation(solution, by[0])
-
-
-def _utilisation(solution: CurtainSolution, known: Strength) -> Array:
-    return known.utilisation(solution.problem.law.in_weave(_loads(solution)))
+    return None if isinstance(by, str) else by[0].utilisation(solution.problem.law.in_weave(_loads(solution)))
 
 
 def critical_load(solution: CurtainSolution) -> Array | None:

@@ -125,15 +125,12 @@ class EveryRingSolution(Solution):
         return self.summary
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Every ring in the plane x, y, coloured by its largest contact force."""
         return self.found.plot(ax)
 
     def write_html(self, path: str | Path) -> None:
-        """See `Solution.write_html`."""
         self.found.write_html(path)
 
     def rings(self) -> FiniteSolution:
-        """Every ring."""
         return self.found
 
 
@@ -181,7 +178,7 @@ class Comparison:
         }
 
     def line_load_distance(self) -> float:
-        """See `summary`."""
+        """How far line loads of both are apart, see `summary`."""
         disk, mesh, disc = self.disk, self.rings.scene.mesh, self.disk.problem.disc
         low, size = mesh.X.min(axis=0), np.ptp(mesh.X, axis=0)
         count = np.maximum(np.round(size / (ACROSS * np.array(mesh.sides))), 1).astype(int)

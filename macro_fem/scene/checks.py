@@ -87,13 +87,12 @@ def _over_time(scene: Scene) -> Iterator[str]:
         yield f"[load] steps = {scene.load.steps}: has no effect in motion, use history"
     if scene.solver.is_bounded:
         yield "[solver] bounds and adapt: have no effect in motion"
-    unread: list[tuple[str, Any, tuple[str, ...]]] = [(item.where, item, OF_HOOKS) for item in scene.items]
+    unread: list[tuple[str, Any, str]] = [(item.where, item, key) for item in scene.items for key in OF_HOOKS]
     if scene.motion.start == "reference":
-        unread.append(("[motion] start = 'reference': [solver]", scene.solver, OF_REST))
-    for where, record, keys in unread:
-        for key in keys:
-            if getattr(record, key, None) != getattr(type(record), key, None):
-                yield f"{where} {key} = {getattr(record, key):g}: has no effect in motion"
+        unread += [("[motion] start = 'reference': [solver]", scene.solver, key) for key in OF_REST]
+    for where, record, key in unread:
+        if getattr(record, key, None) != getattr(type(record), key, None):
+            yield f"{where} {key} = {getattr(record, key):g}: has no effect in motion"
 
 
 def _of_combinations(scene: Scene) -> Iterator[str]:

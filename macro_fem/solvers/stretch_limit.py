@@ -57,10 +57,8 @@ def reach_of(fem: SupportedFem, law: MembraneLaw, start: Array, size: float) -> 
         factor = max(0.0, float(z[-1]) / size)
         return Reach(_stretchable(factor, least_slack(law, green_strain(wider.gradient(z)))), max(0.0, -dual / size))
 
-    def is_decided(z: Array, dual: float) -> bool:
-        return bounds(z, dual).lower > 1.0 + SURE * AT_LIMIT
-
-    options = PathOptions(REACH_GAP, REACH_GAP, drawn=False, enough=is_decided)
+    far = 1.0 + SURE * AT_LIMIT
+    options = PathOptions(REACH_GAP, REACH_GAP, drawn=False, enough=lambda z, dual: bounds(z, dual).lower > far)
     result = solve_path(wider, law, load, np.zeros(wider.n), size, options)
     return bounds(result.z, result.dual)
 

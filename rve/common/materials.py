@@ -16,7 +16,7 @@ from msgspec import Meta
 
 from rve.common.errors import InputError, shown
 from rve.common.rings import STEEL_KG_PER_MM3, Density, DensityPerM3
-from rve.common.typed import Typed, read_entry, refuse_unknown
+from rve.common.typed import Typed, read_entry, refuse_unknown, types_of
 
 Young = Annotated[float, Meta(ge=500.0, le=2e6)]
 """N/mm2: from soft plastics to diamond. Values in GPa (steel 210, tungsten 411) are below and refused."""
@@ -83,13 +83,8 @@ def named_material(name: str, where: str = "material") -> Material:
     return MATERIALS[name]
 
 
-_KEYS: dict[str, tuple[str, Any]] = {
-    "density": ("density_kg_per_mm3", DensityPerM3),
-    "young": ("young_N_per_mm2", Young),
-    "poisson": ("poisson", Poisson),
-    "yield": ("yield_N_per_mm2", Stress),
-    "ultimate": ("ultimate_N_per_mm2", Stress),
-}
+_KEYS = {"density": "density_kg_per_mm3", "young": "young_N_per_mm2", "poisson": "poisson"}
+_KEYS |= {"yield": "yield_N_per_mm2", "ultimate": "ultimate_N_per_mm2"}
 
 
 def material_of(given: Mapping[str, Any], where: str = "", prefix: str = "", base: Material = STEEL) -> Material:
@@ -109,8 +104,8 @@ def material_of(given: Mapping[str, Any], where: str = "", prefix: str = "", bas
         base = named_material(asked.pop("material"), f"{where} {prefix}material".strip())
     values: dict[str, Any] = {}
     for key in asked:
-        name, kind = _KEYS[key]
-        values[name] = read_entry({prefix + key: asked[key]}, prefix + key, kind, where)
+        kind = DensityPerM3 if key == "density" else types_of(Material)[_KEYS[key]]
+        values[_KEYS[key]] = read_entry({prefix + key: asked[key]}, prefix + key, kind, where)
     if "density_kg_per_mm3" in values:
         values["density_kg_per_mm3"] /= 1e9
     low = values.get("yield_N_per_mm2", base.yield_N_per_mm2)

@@ -122,8 +122,3 @@ class Joint:
 WORST_STEP_DEG = 10
 """Step of the angles at which a joint is tried for the worst one: the stress is the same for all joints between two
 neighbouring contacts, so that only one between contacts nearer than the step is left out."""
-
-
-def read_joint(table: Mapping[str, Any], where: str = "") -> str:
-    """The name of the joint that a file states, welded if it states none; InputError for other names."""
-    return Joint.of(table.get("joint", "welded"), f"{where} joint".lstrip()).name

@@ -19,7 +19,6 @@ from rve.common.errors import InputError, shown
 Record = TypeVar("Record", bound="Typed")
 
 NAMES = {"float": "a number", "int": "a whole number", "str": "a text", "bool": "true or false", "array": "a list"}
-NAMES |= {"null": "nothing"}
 
 
 class BadField(InputError):

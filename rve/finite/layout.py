@@ -84,7 +84,8 @@ class FiniteMesh:
                 raise InputError("an outline or a hole is not a list of three or more points [x, y]")
         sides = cell.r1 * np.array(weave_sides(cell, reference_sides(cell, DirectOptions())))
         axes = axes_of_weave(cell, hang_deg)
-        index, X = _sites(cell, border, gaps, sides, axes)
+        region = shapely.Polygon(border, gaps)
+        index, X = _sites(cell, border, region, sides, axes)
         if len(index) < 2:
             raise InputError(f"the outline holds {len(index)} rings; a mesh has two or more")
         pairs = [np.column_stack(two) for pair, *two in neighbours(cell.weave, index) if cell.weave.linked[pair]]
@@ -92,7 +93,7 @@ class FiniteMesh:
         alone = len(np.setdiff1d(np.arange(len(index)), linked))
         if alone:
             raise InputError(f"{alone} of {len(index)} rings inside the outline link no other; enlarge or smooth it")
-        area = _areas(X, border, gaps, sides / (1, cell.weave.classes), axes)
+        area = _areas(X, region, sides / (1, cell.weave.classes), axes)
         return cls(cell, X, index, area, linked, (float(sides[0]), float(sides[1])), hang_deg)
 
     @property
@@ -169,7 +170,7 @@ def cell_of_sides(r1: float, r2: float, sides: tuple[float, float]) -> Cell:
     )
 
 
-def _sites(cell: Cell, border: Array, holes: list[Array], sides: Array, axes: Array) -> tuple[Index, Array]:
+def _sites(cell: Cell, border: Array, region: shapely.Polygon, sides: Array, axes: Array) -> tuple[Index, Array]:
     """Lattice points and centres of the rings inside the outline and outside the holes."""
     ij = (border - border[0]) @ axes / sides
     is_whole = np.abs(ij - np.round(ij)).max() < 1e-4
@@ -182,7 +183,6 @@ def _sites(cell: Cell, border: Array, holes: list[Array], sides: Array, axes: Ar
     i, j = (x.ravel() for x in np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1)))
     index = np.concatenate([np.column_stack([np.full(len(i), k), i, j]) for k in range(cell.weave.classes)])
     X = ((index[:, 1:] + reference_shares(cell)[index[:, 0]]) * sides) @ axes.T + origin
-    region = shapely.Polygon(border, holes)
     sides_of_region = region.boundary
     shapely.prepare([region, sides_of_region])
     near = shapely.dwithin(sides_of_region, shapely.points(X), 1e-4 * float(sides.min()))
@@ -192,12 +192,10 @@ def _sites(cell: Cell, border: Array, holes: list[Array], sides: Array, axes: Ar
     return index[order], X[order]
 
 
-def _areas(X: Array, border: Array, holes: list[Array], brick: Array, axes: Array) -> Array:
+def _areas(X: Array, region: shapely.Polygon, brick: Array, axes: Array) -> Array:
     """Reference area (n,) in mm2 of each ring; their sum is the area inside the outline."""
     t = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
     offsets = np.stack(np.meshgrid(t, t), axis=-1).reshape(-1, 2) * brick @ axes.T
-    region = shapely.Polygon(border, holes)
-    shapely.prepare(region)
     part = sum(shapely.contains_xy(region, X + offset) / len(offsets) for offset in offsets)
     part = np.maximum(part, 1.0 / len(offsets))
     return np.asarray(part * region.area / part.sum())

@@ -43,8 +43,7 @@ def check_page(purpose: str, instead: str = "ask for none") -> None:
 
 
 def write_page(path: AnyPath, draw: Callable[[], Plotter], title: str) -> None:
-    """Write what a plotter shows beneath a title as one HTML file, atomically; InputError, before it is drawn, if
-    plotly is missing."""
+    """Write what is drawn beneath a title as one HTML file, atomically; InputError first if plotly is missing."""
     write_moments(path, ((word, draw()) for word in [""]), title)
 
 
