@@ -144,17 +144,15 @@ def _line(solution: CurtainSolution, wind: Wind) -> dict[str, float]:
     cell = problem.law.cell
     assert cell is not None  # see `macro_fem.scene.loads.nodal_forces`
     alone = ring_solidity(cell)
-    told = {
-        "speed_m_per_s": float(wind.speed or 0.0),
-        "solidity": alone,
-        "drag_coefficient": float(layered_drag(cell, np.ones(1))[0]),
-        "pressure_N_per_m2": wind_pressure(wind, cell) / PER_MM2,
-    }
     a = vector_areas(problem, solution.F)
     layers, reference = layers_of(problem, wind, solution.x, a), problem.disc.cell_area
     front = float(reference @ (1.0 / layers))
     density = problem.factor * _drag(problem, wind, solution.x, a)
-    return told | {
+    return {
+        "speed_m_per_s": float(wind.speed or 0.0),
+        "solidity": alone,
+        "drag_coefficient": float(layered_drag(cell, np.ones(1))[0]),
+        "pressure_N_per_m2": wind_pressure(wind, cell) / PER_MM2,
         "front_area_m2": front * PER_MM2,
         "layers": float(reference.sum() / front),
         "front_solidity": float((reference / layers) @ layered_solidity(alone, layers) / front),

@@ -23,7 +23,6 @@ NOT_UNIQUE = (
     'those of one of them; kind = "elastic" under [solver] gives those that the stiffness of the rings decides'
 )
 """What a rigid curtain says of forces that it leaves open."""
-TWO_POINTS = 2
 RANK = 1e-9
 """Singular values of the equations of balance below this part of the largest count as none."""
 
@@ -36,7 +35,7 @@ def self_balanced(problem: CurtainProblem, x: Array) -> int:
     found = 0
     for piece in range(number):
         nodes, axes = np.nonzero(problem.supports.mask & (label == piece)[:, None])
-        if len(np.unique(nodes)) > TWO_POINTS:
+        if len(np.unique(nodes)) > 2:
             found += len(nodes) - int(np.linalg.matrix_rank(_balance(x[nodes], axes), RANK))
     return found
 

@@ -5,15 +5,17 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta
 
 from homogenize import LawInterval, interval_of_table, read_law_interval
 from rve import Cell
-from rve.common import InputError, numbers_of
+from rve.common import InputError, numbers_of, read_entry
 from rve.common.rings import check_ring_size
 
-ACCURACY, LEAST_ACCURACY, MOST_ACCURACY = 5e-3, 1e-5, 0.5
-"""Of a run by default, and the range of what may be asked for."""
+ACCURACY = 5e-3
+"""Of a run by default."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +33,7 @@ class OnDemand:
     cache: str | Path | None = None
 
     def __post_init__(self) -> None:
-        if not LEAST_ACCURACY <= self.accuracy <= MOST_ACCURACY:
-            raise InputError(
-                f"accuracy = {self.accuracy:g}: must lie between {LEAST_ACCURACY:g} and {MOST_ACCURACY:g}, the width "
-                "of the interval over the height"
-            )
+        read_entry(vars(self), "accuracy", Annotated[float, Meta(ge=1e-5, le=0.5)])
 
     def interval(self) -> LawInterval | None:
         """What is known to begin with; InputError for a law without rows."""

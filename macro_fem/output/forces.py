@@ -178,10 +178,9 @@ def winds(solution: CurtainSolution) -> tuple[Array, Array]:
     nodal = np.zeros(problem.force.shape)
     if problem.winds and problem.wind is not None:
         nodal += load_vector(problem.disc, np.tile(problem.wind, (problem.disc.n_quad, 1)))
-    for wind in (one for one in scene.of(Wind) if one.speed is None and not one.follows):
+    for wind in (one for one in scene.of(Wind) if not one.is_shaped):
         nodal += problem.factor * load_vector(problem.disc, wind_per_area(wind, scene, None))
-    groups = halved(padded(solution.x), np.arange(len(nodal)), MOST_ARROWS) if nodal.any() else []
-    return _summed_up(solution, nodal, groups)
+    return _summed_up(solution, nodal, halved(padded(solution.x), np.arange(len(nodal)), MOST_ARROWS))
 
 
 def halved(x: Array, nodes: np.ndarray, most: int) -> list[np.ndarray]:

@@ -192,10 +192,9 @@ class Comparison:
         area = np.bincount(group, mesh.area, minlength=n)
         ours = self.rings.found.line_load(group, np.maximum(area, 1e-300)).reshape(n, 6)
         cells = part(disk.problem.mesh.mesh.p[:, disk.problem.mesh.mesh.t].mean(axis=1).T)
-        weight = disc.cell_area
         P = np.pad(disc.cell_mean(disk.P), ((0, 0), (0, 3 - disk.problem.fem.d), (0, 0))).reshape(-1, 6)
-        total = np.bincount(cells, weight, minlength=n)
-        sums = np.stack([np.bincount(cells, weight * column, minlength=n) for column in P.T], axis=1)
+        total = np.bincount(cells, disc.cell_area, minlength=n)
+        sums = np.stack([np.bincount(cells, disc.cell_area * column, minlength=n) for column in P.T], axis=1)
         theirs = sums / np.maximum(total, 1e-300)[:, None]
         there = np.where(total > 0.0, area, 0.0)
         square = there @ (ours - theirs) ** 2, there @ theirs**2
