@@ -1,7 +1,5 @@
 """Bounds in space: they contain catenaries and floors, close with the mesh, and are the plane's for a plane curtain."""
 
-import re
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -12,7 +10,6 @@ from macro_fem.curtain import solve_scene
 from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.path import PathOptions
 from rve import Cell
-from rve.common.errors import InputError
 from tests.test_macro_fem.test_space_hammock import Catenary
 
 
@@ -166,21 +163,6 @@ def test_refinement_goes_with_a_wall(ring_like, scene_tables):
     assert found[-1].solution.wall_forces.sum() > 0.1 * 30.0 * 0.01
     assert found[1].bounds.gap < found[0].bounds.gap
     assert max(level.bounds.lower for level in found) < min(level.bounds.upper for level in found)
-
-
-@pytest.mark.parametrize(
-    ("extra", "reason"),
-    [
-        ({"obstacle": {"kind": "sphere", "centre": [50.0, 50.0, -60.0], "radius": 20.0}}, "do not go with sphere"),
-        (
-            {"load": {"wind": {"pressure": 5.0, "direction": [0, 0, 1], "follows": True}}},
-            "do not go with following pressure",
-        ),
-    ],
-)
-def test_what_is_not_convex_has_no_bounds(scene_tables, extra, reason):
-    with pytest.raises(InputError, match=re.escape(f"scene: [solver] bounds and adapt: {reason}")):
-        read_scene({**scene_tables(solver={"bounds": True}), **extra})
 
 
 @pytest.mark.slow

@@ -10,7 +10,6 @@ from macro_fem.output.forces import obstacle_forces, pushes_of
 from macro_fem.scene.obstacles import Obstacle, PlacedObstacle
 from macro_fem.scene.scene import read_records, read_scene
 from macro_fem.shape_loop import solve_shape
-from rve.common.errors import InputError
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
 from tests.test_macro_fem.sheets import posed, sheet
 
@@ -301,10 +300,3 @@ def test_least_distance_from_a_way_is_that_of_its_nearest_point():
         sampled = np.array([one.gap(a + t * (b - a)).min() for a, b in zip(start, end, strict=True)])
         assert sampled.min() < -1.0
         assert np.abs(one.least_gap(start, end) - sampled).max() < 1e-2
-
-
-def test_an_obstacle_must_not_push_where_nothing_holds(fitted_law, scene_tables):
-    tables = scene_tables(mesh={"cells": 4}, support={"kind": "rail"})
-    slope = {"kind": "wall", "facing": [1.0, 1.0], "point": [50.0, 10.0]}
-    with pytest.raises(InputError, match=r"nothing carries the force of .* N along x"):
-        solve(read_scene(tables | {"obstacle": slope}), fitted_law)

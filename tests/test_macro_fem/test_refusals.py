@@ -84,6 +84,11 @@ support = [{kind = "top"}, {kind = "edge", edge = "bottom", move = [0, 2]}];
   -> [obstacle]: the curtain cannot clear its obstacles
 start = {origin = [0, 0, 0], y_axis = [1, 1, 0]}; obstacle = {kind = "sphere", centre = [0, 0, 9], radius = 1}
   -> [start] y_axis = [1.0, 1.0, 0.0]: is not at a right angle to x_axis
+support.kind = "rail"; obstacle = {kind = "wall", facing = [1, 1], point = [50, 10]} -> nothing carries the force of
+load.wind = {pressure = 1000, direction = [1, 0, 0], follows = true} -> lies in the flat sheet
+solver.bounds = true; obstacle = {kind = "sphere", centre = [50, 50, -60], radius = 20}
+  -> [solver] bounds and adapt: do not go with sphere
+solver.bounds = true; load.wind = {pressure = 5, direction = [0, 0, 1], follows = true} -> go with following pressure
 motion.duration = 0.1; support = [] -> nothing holds
 motion = {duration = 1.0, step = 2.0} -> longer than the duration
 motion = {duration = 1e-300} -> expected a number >= 1e-09
