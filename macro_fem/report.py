@@ -112,7 +112,8 @@ def _sections(summary: dict[str, Any], inputs: Iterable[Path]) -> Iterable[tuple
     ]
     half, wide = (len(rows) + 1) // 2, max(map(len, rows), default=0) + 3
     columns = [f"{left:<{wide}}{right}".rstrip() for left, right in zip_longest(rows[:half], rows[half:], fillvalue="")]
-    head = "Forces of supports" + ("" if len(shown) == len(points) else f", the {len(shown)} largest of {len(points)}")
+    head = "Forces of supports" + (" without partial factors" if "combinations" in summary else "")
+    head += "" if len(shown) == len(points) else f", the {len(shown)} largest of {len(points)}"
     yield f"{head}: x and y in the flat sheet, mm; size and components, N", columns, True
     notes = [summary["support_forces_note"], summary["line_load_warning"]]
     yield "Assumptions and limits", [*LIMITS, *filter(None, notes)], False
