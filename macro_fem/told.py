@@ -43,7 +43,7 @@ def curtain_lines(summary: dict[str, Any], out: Path, *, explain: bool) -> Itera
 
 
 def _heights(summary: dict[str, Any]) -> str:
-    out = f", up to {summary['out_of_plane_mm']:.3f} mm out of its plane" if "out_of_plane_mm" in summary else ""
+    out = f", |z| up to {summary['out_of_plane_mm']:.3f} mm" if "out_of_plane_mm" in summary else ""
     return f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm{out}"
 
 

@@ -139,7 +139,7 @@ def title(solution: CurtainSolution) -> str:
     load = float(np.linalg.norm(solution.problem.force.sum(axis=0)))
     height = f"mean height {solution.mean_height():.1f} mm, lowest point {solution.x[:, 1].min():.1f} mm"
     out = np.abs(solution.x[:, 2:]).max(initial=0.0)
-    return f"total load {digits(load, 4)} N, {height}" + (f", {out:.1f} mm out of its plane" if out > 0.05 else "")
+    return f"total load {digits(load, 4)} N, {height}" + (f", |z| up to {out:.1f} mm" if out > 0.05 else "")
 
 
 def sheet(solution: CurtainSolution, scale: Scale) -> PolyData:
