@@ -168,9 +168,11 @@ def solve_on_demand(
 
 
 def _scale(solution: CurtainSolution) -> float:
-    """Total load times height, N mm."""
-    problem = solution.problem
-    return max(float(np.abs(problem.force).sum()) * problem.mesh.height, 1e-300)
+    """Total load times height, N mm; InputError without load."""
+    scene, total = solution.problem.scene, float(np.abs(solution.problem.force).sum())
+    if total == 0.0:
+        raise InputError(f"{scene.source}: carries no load, so that no interval is narrow; give it weight or a pull")
+    return total * solution.problem.mesh.height
 
 
 def _hang(

@@ -154,6 +154,8 @@ def test_a_law_that_is_known_is_where_the_run_begins(known_rings):
     assert found.rings.count == len(KNOWN.rows)
     with pytest.raises(InputError, match="r2, b_x and b_y"):
         solve_on_demand(square(), Cell(5.0, 0.4), 0.05, known=KNOWN)
+    with pytest.raises(InputError, match="carries no load"):
+        solve_on_demand(square(load={"gravity": 0.0}), Cell(), 0.05, known=KNOWN)
 
 
 def test_two_runs_with_one_cache_give_the_same_answer(known_rings, tmp_path):
