@@ -65,6 +65,9 @@ macro_fem run scene.toml --out new --law table.csv -> table.csv: is not JSON
 macro_fem run scene.toml --out new --law table.json -> table.json: format
 macro_fem run law.json --out new -> law.json: is not TOML
 macro_fem run half.toml --out new -> TOML
+macro_fem run moving.toml --out new --explain -> are for a curtain at rest
+macro_fem rings moving.toml --out new --start motion -> --start motion: is for rings at rest
+macro_fem compare combined.toml -> [combination]: is for a curtain by a law
 macro_fem size scene.toml --vary speed --from 1 --to 2 --factor 1 -> the scene has no wind with a speed
 macro_fem size scene.toml --vary mass --from 3 --to 2 --factor 1 -> the smaller one first
 macro_fem size scene.toml --vary mass --from 1 --to 2 --factor nan -> --factor = nan: must be positive
@@ -87,6 +90,8 @@ def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("refused")
     (out / "scene.toml").write_text(HOOKS)
     (out / "half.toml").write_text("[mesh")
+    (out / "moving.toml").write_text(HOOKS + "motion = {duration = 1.0, start = 'reference'}")
+    (out / "combined.toml").write_text(HOOKS + "combination = {name = 'a'}")
     shutil.copy(DEFAULT_LAW, out / "law.json")
     ClothLaw().save(out / "cloth.json")
     for ending in ("csv", "json"):

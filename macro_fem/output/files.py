@@ -15,7 +15,7 @@ from macro_fem.elastic_forces import forces_by, forces_note
 from macro_fem.fem.cells import counterclockwise, padded
 from macro_fem.output import line_load, strength
 from macro_fem.output.forces import held_length, support_forces
-from macro_fem.output.weakest import weakest
+from macro_fem.output.weakest import links
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.tables import Bar, LiveLoad
@@ -36,6 +36,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
     parts = np.bincount(solution.state(), weights=area, minlength=3) / area.sum()
     per_area, mass_from = areal_mass(problem.scene, problem.law.cell)
     told, forces, in_space = strength.summary(solution), support_forces(solution), {}
+    least = next(iter(links(told | {"support_forces": forces})), None)  # of what is known and loaded
     if problem.fem.d == 3:
         in_space = {
             "lowest_point_at_mm": x[x[:, 1].argmin()].tolist(),
@@ -51,7 +52,8 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "max_displacement_mm": float(np.linalg.norm(solution.displacement, axis=1).max()),
         **line_load.summary(solution),
         **told,
-        **weakest(told | {"support_forces": forces}),
+        "weakest": least and least.name,
+        "weakest_factor": least and least.factor,
         "total_load_N": problem.force.sum(axis=0).tolist(),
         "support_forces": forces,
         "forces_by": forces_by(solution),

@@ -31,12 +31,6 @@ class Link(NamedTuple):
     text: str
 
 
-def weakest(summary: dict[str, Any]) -> dict[str, Any]:
-    """What gives first, and at how many times the load, for summary.json; None where nothing is known or loaded."""
-    least = next(iter(links(summary)), None)
-    return {"weakest": least.name if least else None, "weakest_factor": least.factor if least else None}
-
-
 def links(summary: dict[str, Any]) -> list[Link]:
     """The links of a curtain that are loaded and whose strength is known, the weakest first."""
     averages, points, ring = (summary[key] or 0.0 for key in UTILISATIONS)
