@@ -24,7 +24,7 @@ from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.sites import Sliding, edge_nodes
 from macro_fem.scene.supports import build_supports, pin_sliding, told
-from macro_fem.scene.tables import Bar, Wind, in_3d
+from macro_fem.scene.tables import Bar, Solver, Wind, in_3d
 from macro_fem.solution import CurtainSolution
 from rve import Cell, FiniteMesh, FiniteOptions, FiniteSolution, HalfSpace, cell_of_sides, solve_table
 from rve.common import Array, InputError
@@ -36,6 +36,10 @@ MOST_CELLS = 400_000
 """Reference cells of a scene at most, of two rings each."""
 WHOLE, NEARLY_WHOLE = 1e-7, 0.02
 """A side of a rectangle within these parts of a cell of whole cells is left as it is, or made whole with a note."""
+
+
+OF_DISK = ("kind", "tolerance", "max_iterations", "bounds", "adapt")
+"""Keys of [solver] that rings do not read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,6 +175,8 @@ def _finite_mesh(scene: Scene, info: CellInfo) -> FiniteMesh:
 def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozenset[int] | None = None) -> RingScene:
     """The rings of a mesh under the loads and supports of a scene; released: as of `make_problem`."""
     scene, notes = _in_whole_cells(scene, info)
+    unread = [key for key in OF_DISK if getattr(scene.solver, key) != getattr(Solver, key)]
+    notes += (f"[solver] {', '.join(unread)}: has no effect on every ring",) if unread else ()
     side = info.b_y_mm if scene.curtain.weave_angle % 180.0 == 90.0 else info.b_x_mm
     width = float(np.ptp(scene.curtain.corners(scene.mesh.cells)[:, 0]))
     one_per_cell = replace(scene.mesh, cells=max(1, round(width / side)), element="P1", pattern="aligned")

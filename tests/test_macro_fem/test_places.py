@@ -299,12 +299,15 @@ def test_the_pitch_that_fits_is_told(tmp_path, keys, count, asked):
 
 def test_nearly_whole_cells_keep_the_rings_at_the_corners():
     """75.9 mm are six cells of 12.646 mm: the corner rings must not go, nor the support move by 1.9 mm."""
-    exact, rounded = (
-        ring_scene(macro_fem.Scene(macro_fem.Rectangle(6 * RINGS.b_x_mm, height), [macro_fem.Corners()]), default_law())
-        for height in (6 * RINGS.b_y_mm, 75.9)
-    )
+    sides, corners = ((6 * RINGS.b_x_mm, height) for height in (6 * RINGS.b_y_mm, 75.9)), [macro_fem.Corners()]
+    asked = macro_fem.Solver(), macro_fem.Solver(kind="elastic", bounds=True)
+    scenes = [
+        macro_fem.Scene(macro_fem.Rectangle(*both), corners, solver=of) for both, of in zip(sides, asked, strict=True)
+    ]
+    exact, rounded = (ring_scene(scene, default_law()) for scene in scenes)
     assert exact.notes == ()
     assert "height = 75.9 mm is taken as 6 whole cells" in rounded.notes[0]
+    assert rounded.notes[1] == "[solver] kind, bounds: has no effect on every ring"
     assert len(rounded.mesh.X) == len(exact.mesh.X)
     for (_, one), (_, other) in zip(exact.groups, rounded.groups, strict=True):
         assert rounded.mesh.X[other] == pytest.approx(exact.mesh.X[one])
