@@ -182,12 +182,17 @@ def sweep(out: Path, arguments: tuple[str, ...], jobs: int, cluster: str | None)
     _say_next_of_curtain(first, read_json_object(first / "summary.json")["order"]["rings"])
 
 
+def _beside(out: Path, what: str) -> Path:
+    """A folder named like `out` beside it, or in it where it is the current one."""
+    return out.parent / f"{out.resolve().name}_{what}"
+
+
 def _say_next_of_curtain(out: Path, count: int | None) -> None:
     """How to see every ring of the curtain in a folder, if its law has rings."""
     if count is None:
         return
     words: list[Any] = ["--max-rings", round(1.05 * count)] if count > MOST_RINGS else []
-    words += ["--out", out.parent / f"{out.resolve().name}_rings"]
+    words += ["--out", _beside(out, "rings")]
     say_next("macro_fem", "localize", out, *words, why="every ring, and the forces in the worst cell")
 
 
@@ -280,5 +285,5 @@ def localize(curtain: Path, out: Path, window: str | None, max_rings: int, **fil
     found = run_localize(curtain, out, LocalizeOptions(ends, max_rings), **files)
     say(*ring_field_lines(found, out))
     answer(found)
-    words = ["--out", out.parent / f"{out.resolve().name}_tubes", *([] if window is None else ["--window", window])]
+    words = ["--out", _beside(out, "tubes"), *([] if window is None else ["--window", window])]
     say_next("macro_fem", "localize", curtain, *words, "--tubes", "--no-picture", why="wires for ParaView")

@@ -116,9 +116,13 @@ def largest_that_holds(
     found = rows[best]
     assert found.factor is not None
     tried = sorted(rows, reverse=vary == "r2")
-    after = rows[tried[min(tried.index(best) + 1, len(tried) - 1)]]
-    note = f"{vary} = {after.value:g} has no answer: {after.status}" if after.factor is None else None
-    note, curve = note if found.safety_factor else RINGS_NOT_JUDGED, tuple(rows[value] for value in sorted(rows))
+    beyond = [rows[value] for value in tried[tried.index(best) + 1 :]]
+    note = None
+    if found.safety_factor is None:
+        note = RINGS_NOT_JUDGED
+    elif beyond and beyond[0].factor is None:
+        note = f"{vary} = {beyond[0].value:g} has no answer: {beyond[0].status}"
+    curve = tuple(rows[value] for value in sorted(rows))
     return Size(vary, best, found.safety_factor, found.factor, found.weakest, factor, curve, note)
 
 

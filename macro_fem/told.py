@@ -179,8 +179,12 @@ def side_by_side(summary: dict[str, Any]) -> list[str]:
 
 
 def _text(value: Any) -> str:
-    """A number, or forces by their components, a third one where it counts beside the others."""
-    if not isinstance(value, list):
-        return f"{value:.6g}" if isinstance(value, float) else str(value)
-    flat = [force and force[: 2 if abs(force[-1]) <= 1e-6 * max(map(abs, force[:2])) else 3] for force in value]
-    return "; ".join("-" if force is None else " ".join(map(digits, force)) for force in flat)
+    if isinstance(value, list):
+        return "; ".join("-" if force is None else _force(*force) for force in value)
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _force(x: float, y: float, z: float = 0.0) -> str:
+    """Components with three digits; the third one only where there is one beside the others."""
+    is_flat = abs(z) <= 1e-6 * max(abs(x), abs(y))
+    return " ".join(map(digits, (x, y) if is_flat else (x, y, z)))

@@ -16,7 +16,7 @@ from homogenize import CellInfo, MembraneLaw, cell_of, default_law, with_materia
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.discretization import discretize
-from macro_fem.scene.checks import check_sizes
+from macro_fem.scene.checks import check_sizes, keys_set
 from macro_fem.scene.loads import PER_MM2, areal_mass, bar_masses, breeze, nodal_forces, weight_per_area, wind_per_area
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import Body
@@ -24,7 +24,7 @@ from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.sites import Sliding, edge_nodes
 from macro_fem.scene.supports import build_supports, pin_sliding, told
-from macro_fem.scene.tables import Bar, Solver, Wind, in_3d
+from macro_fem.scene.tables import Bar, Wind, in_3d
 from macro_fem.solution import CurtainSolution
 from rve import Cell, FiniteMesh, FiniteOptions, FiniteSolution, HalfSpace, cell_of_sides, solve_table
 from rve.common import Array, InputError
@@ -175,8 +175,8 @@ def _finite_mesh(scene: Scene, info: CellInfo) -> FiniteMesh:
 def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozenset[int] | None = None) -> RingScene:
     """The rings of a mesh under the loads and supports of a scene; released: as of `make_problem`."""
     scene, notes = _in_whole_cells(scene, info)
-    unread = [key for key in OF_DISK if getattr(scene.solver, key) != getattr(Solver, key)]
-    notes += (f"[solver] {', '.join(unread)}: has no effect on every ring",) if unread else ()
+    if unread := keys_set(scene.solver, OF_DISK):
+        notes += (f"[solver] {', '.join(unread)}: has no effect on every ring",)
     side = info.b_y_mm if scene.curtain.weave_angle % 180.0 == 90.0 else info.b_x_mm
     width = float(np.ptp(scene.curtain.corners(scene.mesh.cells)[:, 0]))
     one_per_cell = replace(scene.mesh, cells=max(1, round(width / side)), element="P1", pattern="aligned")

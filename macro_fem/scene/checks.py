@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import fields
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -87,12 +87,17 @@ def _over_time(scene: Scene) -> Iterator[str]:
         yield f"[load] steps = {scene.load.steps}: has no effect in motion, use history"
     if scene.solver.is_bounded:
         yield "[solver] bounds and adapt: have no effect in motion"
-    unread: list[tuple[str, Any, str]] = [(item.where, item, key) for item in scene.items for key in OF_HOOKS]
+    unread: list[tuple[str, Any, tuple[str, ...]]] = [(item.where, item, OF_HOOKS) for item in scene.items]
     if scene.motion.start == "reference":
-        unread += [("[motion] start = 'reference': [solver]", scene.solver, key) for key in OF_REST]
-    for where, record, key in unread:
-        if getattr(record, key, None) != getattr(type(record), key, None):
+        unread += [("[motion] start = 'reference': [solver]", scene.solver, OF_REST)]
+    for where, record, keys in unread:
+        for key in keys_set(record, keys):
             yield f"{where} {key} = {getattr(record, key):g}: has no effect in motion"
+
+
+def keys_set(record: object, keys: Iterable[str]) -> list[str]:
+    """Those of the keys that a record has and whose value is not the default."""
+    return [key for key in keys if getattr(record, key, None) != getattr(type(record), key, None)]
 
 
 def _of_combinations(scene: Scene) -> Iterator[str]:

@@ -157,9 +157,10 @@ class _Cells:
         states = self._states_at(joints[0] if joints else None)
         for joint in joints[1:]:
             other = self._states_at(joint)
-            worst = {key: np.maximum(getattr(states, key), getattr(other, key)) for key in ("first_yield", "collapse")}
+            stress = np.maximum(states.first_yield, other.first_yield)
+            load = np.maximum(states.collapse, other.collapse)
             softer = np.flatnonzero(other.energy > states.energy)
-            states = replace(states.put(softer, other.take(softer)), **worst)
+            states = replace(states.put(softer, other.take(softer)), first_yield=stress, collapse=load)
         return states
 
     def _states_at(self, joint: Array | None) -> RingStates:

@@ -152,11 +152,7 @@ def run(
     with job(out_dir, RECORD, record) as folder:
         write_text(folder / "cases.csv", _cases_csv(study))
         for (alpha_deg, beta_deg), case in study.kinked:
-            h, (rows_of, E) = study.history, study.path(case)  # one line per accepted step
-            values = [h.time[rows_of], h.h[rows_of], *E.T, h.R[rows_of], h.kinetic[rows_of], h.side[rows_of]]
-            header = ["time_s", "h_s", *NAMES, "R", "kinetic_kg_mm2_per_s2", "side_contacts"]
-            text = csv_text(header, np.column_stack(values).tolist())
-            write_text(folder / f"history_{alpha_deg:g}_{beta_deg:g}.csv", text)
+            write_text(folder / f"history_{alpha_deg:g}_{beta_deg:g}.csv", _history_csv(study, case))
         write_text(folder / "comparison.md", markdown(rows))
         draw_all(study, Path(folder))
     return study
@@ -172,6 +168,14 @@ def _cases_csv(study: Study) -> str:
     columns += [*study.E.T, *direct.T, table.unique.astype(int)]
     rows = zip(range(1, len(table) + 1), *(column.tolist() for column in columns), strict=True)
     return csv_text(header.split(","), rows)
+
+
+def _history_csv(study: Study, case: int) -> str:
+    """One line per accepted step of a case."""
+    h, (rows, E) = study.history, study.path(case)
+    values = np.column_stack([h.time[rows], h.h[rows], E, h.R[rows], h.kinetic[rows], h.side[rows]])
+    header = ["time_s", "h_s", *NAMES, "R", "kinetic_kg_mm2_per_s2", "side_contacts"]
+    return csv_text(header, values.tolist())
 
 
 def in_space(study: Study, values: Array, names: tuple[str, ...], sheet: Array | None = None) -> Any:

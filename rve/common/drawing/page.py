@@ -43,8 +43,9 @@ def check_page(purpose: str, instead: str = "ask for none") -> None:
 
 
 def write_page(path: AnyPath, draw: Callable[[], Plotter], title: str) -> None:
-    """Write what is drawn beneath a title as one HTML file, atomically; InputError first if plotly is missing."""
-    write_moments(path, ((word, draw()) for word in [""]), title)
+    """Write what is drawn beneath a title as one HTML file, atomically; InputError, before, if plotly is missing."""
+    check_page(str(path))
+    write_moments(path, [("", draw())], title)
 
 
 def write_moments(path: AnyPath, moments: Iterable[tuple[str, Plotter]], title: str) -> None:
