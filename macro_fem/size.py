@@ -93,6 +93,7 @@ def largest_that_holds(
         raise InputError(f"--from = {low:g}, --to = {high:g}: give two positive values, the smaller one first")
     if not 0.0 < factor < np.inf:
         raise InputError(f"--factor = {factor:g}: must be positive")
+    _check(scene, who, vary)
     is_pitch = vary == "pitch"
     values = _pitches(scene, low, high) if is_pitch else np.linspace(low, high, COARSE).tolist()
     rows: dict[float, Row] = {}
@@ -160,9 +161,26 @@ def _pitches(scene: Scene, low: float, high: float) -> list[float]:
     return found
 
 
+def _check(scene: Scene, who: Any, vary: str) -> None:
+    """InputError for what is not there to be varied."""
+    if vary not in VARIED:
+        raise InputError(f"--vary = {shown(vary)}: is not one of {', '.join(VARIED)}")
+    _, what, has = VARIED[vary]
+    if vary == "r2":
+        if not isinstance(who, OnDemand):
+            raise InputError("--vary r2: needs the rings, by --rings R1,R2, since a law is of one wire")
+    elif not any(map(has, scene.items)):
+        raise InputError(f"{scene.source}: --vary {vary}: the scene has no {what}")
+
+
 def _row(scene: Scene, who: Any, vary: str, value: float) -> Row:
     try:
-        told = _summary(scene, who, vary, value)
+        if vary == "r2":
+            cell = replace(who.cell, r2=value)
+            who = fit(with_rings(solve_table(cell), cell)).law
+        else:
+            scene = _changed(scene, vary, value)
+        told = solve(scene, who).summary
     except InputError as error:
         return Row(value, None, None, None, str(error))
     if told["status"] != "converged":
@@ -171,24 +189,9 @@ def _row(scene: Scene, who: Any, vary: str, value: float) -> Row:
     return Row(value, worst["weakest_factor"], worst["safety_factor"], worst["weakest"], "converged")
 
 
-def _summary(scene: Scene, who: Any, vary: str, value: float) -> dict[str, Any]:
-    if vary == "r2":
-        if not isinstance(who, OnDemand):
-            raise InputError("--vary r2: needs the rings, by --rings R1,R2, since a law is of one wire")
-        cell = replace(who.cell, r2=value)
-        who = fit(with_rings(solve_table(cell), cell)).law
-    else:
-        scene = _changed(scene, vary, value)
-    return solve(scene, who).summary
-
-
 def _changed(scene: Scene, vary: str, value: float) -> Scene:
     """The scene with the value in every part that has it."""
-    if vary not in VARIED:
-        raise InputError(f"--vary = {shown(vary)}: is not one of {', '.join(VARIED)}")
-    _, what, has = VARIED[vary]
-    if not any(map(has, scene.items)):
-        raise InputError(f"{scene.source}: --vary {vary}: the scene has no {what}")
+    has = VARIED[vary][2]
     changes: Any = {vary: value} | ({"count": None} if vary == "pitch" else {})
     items: list[Any] = list(scene.items)
     mesh = scene.mesh
