@@ -68,10 +68,10 @@ macro_fem run half.toml --out new -> TOML
 macro_fem run moving.toml --out new --explain -> are for a curtain at rest
 macro_fem rings moving.toml --out new --start motion -> --start motion: is for rings at rest
 macro_fem compare combined.toml -> [combination]: is for a curtain by a law
-macro_fem size scene.toml --vary speed --from 1 --to 2 --factor 1 -> Error: scene.toml: --vary speed: the scene has no wind with a speed
+macro_fem size scene.toml --vary speed --from 1 --to 2 --factor 1 -> Error: scene.toml: --vary speed: the scene has no
 macro_fem size scene.toml --vary mass --from 3 --to 2 --factor 1 -> the smaller one first
 macro_fem size scene.toml --vary mass --from 1 --to 2 --factor nan -> --factor = nan: must be positive
-macro_fem size scene.toml --vary r2 --from 0.4 --to 0.6 --factor 1 -> Error: --vary r2: needs the rings, by --rings R1,R2
+macro_fem size scene.toml --vary r2 --from 0.4 --to 0.6 --factor 1 -> Error: --vary r2: needs the rings, by --rings
 macro_fem size scene.toml --vary mass --from 1 --to 2 --factor 1e6 -> no mass from 1 to 2 holds with a factor
 macro_fem size scene.toml --vary pitch --from 120 --to 150 --factor 1 -> divides the edge of 330 mm
 macro_fem localize curtain --out new --window 0,0,nan,9 -> window
