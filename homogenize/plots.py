@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from homogenize.fitting.bounds import bounds_of
+from homogenize.fitting.fit import cell_of
 from homogenize.fitting.report import random_loads
 from homogenize.fitting.rows import LockedRows, rows_from_table, with_mirror
 from homogenize.laws import pictures
@@ -36,9 +37,10 @@ DECADES = 3.0
 def write_pictures(law: StoredLaw, table: StrainTable, folder: str | Path, inputs: Sequence[Path] = ()) -> list[Path]:
     """Writes surface.png, strains.png, errors.png, sections.png and pictures.json into `folder`, all at once.
 
-    The folder is made if need be. Returns the paths of the pictures; InputError if one would overwrite one of `inputs`.
+    Returns the paths of the pictures; InputError if one would overwrite `inputs`, and for a table of other rings.
     """
-    folder = Path(folder)
+    if law.cell is not None and table.provenance:
+        law.cell.check_same(cell_of(table), "the table", "the law")
     rows = rows_from_table(table)
     tell("drawing")
     figures = {
@@ -51,7 +53,7 @@ def write_pictures(law: StoredLaw, table: StrainTable, folder: str | Path, input
         for number, (name, figure) in enumerate(figures.items()):
             tell(f"drawing, {name}", number / len(figures))
             save_figure(staged / name, figure)
-    return [folder / name for name in figures]
+    return [Path(folder) / name for name in figures]
 
 
 def plot_surface(law: MembraneLaw, rows: LockedRows) -> Any:

@@ -19,7 +19,7 @@ from macro_fem.scene.supports import Supports, build_supports, pin_sliding, told
 from macro_fem.scene.tables import Wind
 from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.walls import TOUCHED, Walls
-from rve.common import Array, InputError
+from rve.common import Array, InputError, digits
 
 THINNEST = 0.2
 """Half the least width of a body over the longest side of a cell; thinner ones pass between the points of a mesh."""
@@ -109,9 +109,9 @@ def _with_obstacles(problem: CurtainProblem) -> CurtainProblem:
     for one in obstacles:
         if one.obstacle.breadth < THINNEST * side:
             raise InputError(
-                f"{scene.source}: [obstacle] {one.obstacle.name}: half its least width, {one.obstacle.breadth:.4g} mm, "
-                f"is less than a fifth of the sides of cells, up to {side:.4g} mm, between which it would pass: use "
-                "more cells"
+                f"{scene.source}: [obstacle] {one.obstacle.name}: half its least width, "
+                f"{digits(one.obstacle.breadth, 4)} mm, is less than a fifth of the sides of cells, up to "
+                f"{digits(side, 4)} mm, between which it would pass: use more cells"
             )
         _check_outside(one, problem)
     bodies = tuple(one for one in obstacles if isinstance(one.obstacle, Body))
@@ -143,7 +143,7 @@ def _check_outside(one: PlacedObstacle, problem: CurtainProblem) -> None:
     ways = [told(way) for way in pins.direction[pins.nodes == node] if abs(way @ normal) > 1e-9]
     slides = f", and nothing but that holds it along {ways[0]}: hold it there, outside" if ways else ""
     raise InputError(
-        f"{scene.source}: [obstacle] {one.obstacle.name}: {name} is {deep[node]:.4g} mm inside it{at}{slides}"
+        f"{scene.source}: [obstacle] {one.obstacle.name}: {name} is {digits(deep[node], 4)} mm inside it{at}{slides}"
     )
 
 

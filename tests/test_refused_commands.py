@@ -52,7 +52,7 @@ homogenize fit table.csv --out new.json --kind spline -> 'spline' is not one of
 homogenize fit table.csv --out nowhere/law.json -> nowhere
 homogenize fit law.json --out new.json -> column alpha_deg is missing
 homogenize export cloth.json --out umat.f -> kind = cloth: only polyhedral laws are exported
-homogenize plot law.json --table nowhere.csv --out new -> nowhere.csv
+homogenize plot law.json --table other.csv --out new -> the table: r2, b_x and b_y over r1 are 0.08,
 macro_fem run scene.toml --out new --rings=-5,0.5 -> r1 = -5: rings are from 0.1 to 200 mm
 macro_fem run scene.toml --out new --rings 5,0.5 --cache c --no-cache -> contradict
 macro_fem run scene.toml --out new --accuracy 1e-3 -> belongs to --rings
@@ -94,9 +94,9 @@ def folder(tmp_path_factory):
     (out / "combined.toml").write_text(HOOKS + "combination = {name = 'a'}")
     shutil.copy(DEFAULT_LAW, out / "law.json")
     ClothLaw().save(out / "cloth.json")
-    for ending in ("csv", "json"):
-        shutil.copy(DATA / f"table190.{ending}", out / f"table.{ending}")
-    shutil.copy(out / "table.json", out / "other.json")
+    for name in ("table.csv", "table.json", "other.csv"):
+        shutil.copy(DATA / f"table190{Path(name).suffix}", out / name)
+    (out / "other.json").write_text((out / "table.json").read_text().replace('"r2_mm": 0.5', '"r2_mm": 0.4'))
     words = ["run", str(out / "scene.toml"), "--out", str(out / "curtain"), "--no-picture"]
     assert CliRunner().invoke(macro_fem.cli.main, words).exit_code == 0
     return out

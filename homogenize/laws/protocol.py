@@ -14,6 +14,9 @@ import numpy as np
 from rve.common import Array, InputError, Rows, Typed
 from rve.common.rings import ArealMass, Length
 
+SAME_RINGS = 1e-6
+"""Relative difference of radii and reference cells that are taken for the same."""
+
 
 def check_finite(values: Array, what: str = "strains") -> None:
     """InputError that names the first row of `values` (n, 3) that is not three finite numbers."""
@@ -34,6 +37,13 @@ class CellInfo(Typed):
     b_x_mm: Length
     b_y_mm: Length
     areal_mass_kg_per_m2: ArealMass
+
+    def check_same(self, other: CellInfo, where: str, own: str) -> None:
+        """InputError if `other` are rings of another shape, of any size; `where` names them, `own` the rings here."""
+        shapes = [np.array([one.r2_mm, one.b_x_mm, one.b_y_mm]) / one.r1_mm for one in (other, self)]
+        if np.abs(np.subtract(*shapes)).max() > SAME_RINGS:
+            given, here = (", ".join(f"{x:.6g}" for x in one) for one in shapes)
+            raise InputError(f"{where}: r2, b_x and b_y over r1 are {given}, those of {own} are {here}")
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,6 @@ ROUNDING, GAIN = 1e-9, 1e-8
 must exceed another row's own to contradict it. Round-off leaves 1e-12."""
 ROUNDS = 6
 """How often rows that others contradict are asked again."""
-SAME_RINGS = 1e-6
-"""Relative difference of radii and reference cells that are taken for the same."""
 
 
 class Rings:
@@ -48,7 +46,8 @@ class Rings:
         self.beside: dict[int, Beside] = {}
         self.solves = self.hits = self.failed = 0
         if known is not None:
-            self._check_same(known)
+            if known.law.cell is not None:
+                self.info.check_same(known.law.cell, known.source, "--rings")
             self.rows, self.x = known.rows, rounded(disc(known.rows.S))
 
     @cached_property
@@ -127,16 +126,6 @@ class Rings:
             return None
         h, E, unique = (np.array([found[name]]) for name in ("h", "E", "unique"))
         return LockedRows(S[:1], E, h, unique, np.array([self.count]), is_mirrored=self.is_mirrored)
-
-    def _check_same(self, known: LawInterval) -> None:
-        """InputError if what is known belongs to other rings."""
-        cell, names = known.law.cell, ("r2_mm", "b_x_mm", "b_y_mm")
-        if cell is None:
-            return
-        given, own = ([getattr(one, name) / one.r1_mm for name in names] for one in (cell, self.info))
-        if np.abs(np.subtract(given, own)).max() > SAME_RINGS:
-            text = [", ".join(f"{x:.6g}" for x in one) for one in (given, own)]
-            raise InputError(f"{known.source}: r2, b_x and b_y over r1 are {text[0]}, those of --rings are {text[1]}")
 
 
 def contradictions(rows: LockedRows) -> list[tuple[int, int, tuple[float, float]]]:

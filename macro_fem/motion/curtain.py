@@ -42,7 +42,7 @@ from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.path import PathResult
 from macro_fem.solvers.status import ROUNDING, Evidence
 from macro_fem.solvers.walls import TOUCHED, Walls
-from rve.common import Array, InputError, NotConverged
+from rve.common import Array, InputError, NotConverged, digits
 from rve.common.drawing.plane import save_figure
 from rve.common.drawing.space import THREE_QUARTERS
 
@@ -106,7 +106,8 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             if np.abs(away).max(initial=0.0) > 1e-6 * self.size:
                 raise InputError(
                     f"{scene.source}: [motion] start = 'reference': supports hold points up to "
-                    f"{np.abs(away).max():.4g} mm from where they are there; use 'hung', or a history that begins there"
+                    f"{digits(np.abs(away).max(), 4)} mm from where they are there; use 'hung', or a history that "
+                    "begins there"
                 )
             P = np.zeros((problem.disc.n_points, problem.fem.d, 2))
             S, cones, forces = np.zeros((len(P), 3)), None, np.zeros_like(x)

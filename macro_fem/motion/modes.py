@@ -246,7 +246,7 @@ def run_modes(
     summary = {
         "frequencies_Hz": modes.frequencies_Hz.tolist(),
         "multiplicity": modes.multiplicity.tolist(),
-        "left_out": modes.left_out,
+        "left_out": modes.left_out + ("; the partial factors of [[combination]]" if scene.combination else ""),
         "forces_by": forces_by(found),
         "cells": problem.disc.n_cells,
         "law": problem.law.name,

@@ -22,7 +22,7 @@ from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.scene import Scene
 from rve import FiniteOptions, FiniteSolution, HalfSpace, RoundBody, ring_places, slack_rings, step_rings, with_bodies
-from rve.common import Array, InputError, NotConverged
+from rve.common import Array, InputError, NotConverged, digits
 from rve.common.drawing.plane import new_figure, save_figure
 from rve.common.drawing.space import new_plotter
 
@@ -111,7 +111,8 @@ class MovingRings(Mover[RingFrame, RingScene]):
         away = float(np.abs(np.where(asked.held, asked.at - rings.centre, 0.0)).max(initial=0.0))
         if away > NEAR * asked.mesh.cell.r1:
             raise InputError(
-                f"{where}: supports hold rings up to {away:.4g} mm from where they are in the slack weave; use 'hung'"
+                f"{where}: supports hold rings up to {digits(away, 4)} mm from where they are in the slack weave; use "
+                "'hung'"
             )
         if rings.contacts.min_gap_mm <= 0.0:
             raise InputError(f"{where}: a floor or wall cuts the slack weave; move it away")

@@ -21,7 +21,7 @@ from macro_fem.scene.tables import Timed, Wind
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.cones import green_strain
 from macro_fem.solvers.walls import TOUCHED, Walls
-from rve.common import Array, InputError
+from rve.common import Array, InputError, digits
 
 TONNE = 1e-3
 """N s2/mm per kg: with lengths in mm and forces in N."""
@@ -178,8 +178,8 @@ class Contacts:
         for words, deep in met:
             if deep > TOUCHED * self.problem.mesh.size:
                 raise InputError(
-                    f"{self.problem.scene.source}: [[body]]{words} is {deep:.4g} mm inside it at the start; put it "
-                    f"farther away"
+                    f"{self.problem.scene.source}: [[body]]{words} is {digits(deep, 4)} mm inside it at the start; put "
+                    "it farther away"
                 )
 
     def work(self, end: Stepped, x: Array) -> tuple[float, float]:

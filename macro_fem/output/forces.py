@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,16 +64,10 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
     A component held by two supports counts for the first, so that the forces of all points balance the loads;
     `nodes_held`, `length_held_mm` and `largest_nodal_force_N` are also of what an earlier support holds.
     """
-    problem, reactions = solution.problem, solution.reactions
-    taken = np.zeros(reactions.shape, bool)
-    forces = []
-    for number, (item, held) in enumerate(zip(problem.scene.support, problem.supports.held, strict=True)):
-        own = np.zeros_like(taken)
-        own[held.nodes] = held.mask
-        largest = float(np.linalg.norm(np.where(own, reactions, 0.0), axis=1).max())
-        own &= ~taken
-        taken |= own
-        part = np.where(own, reactions, 0.0)
+    problem, forces = solution.problem, []
+    shares = own_forces([held.components(solution.x.shape) for held in problem.supports.held], solution.reactions)
+    each = zip(problem.scene.support, problem.supports.held, shares, strict=True)
+    for number, (item, held, (own, part, largest)) in enumerate(each):
         columns = {"at_mm": problem.disc.nodes, "force_N": part}
         columns |= {"place_mm": solution.x} if part.shape[1] == 3 else {}
         found = {"support": held.name, "force_N": part.sum(axis=0).tolist(), "largest_nodal_force_N": largest}
@@ -88,6 +82,16 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
         held_mm = held_length(problem, [held.facets])
         forces.append(found | {"nodes_held": len(held.nodes), "length_held_mm": held_mm, "points": points})
     return forces
+
+
+def own_forces(holds: Iterable[np.ndarray], reactions: Array) -> Iterator[tuple[np.ndarray, Array, float]]:
+    """Of each support, by the components (n, d) that it holds: those that none before it holds, their forces (n, d) in
+    N, and the largest force at a point of all that it holds."""
+    taken = np.zeros(reactions.shape, bool)
+    for held in holds:
+        own, largest = held & ~taken, np.linalg.norm(np.where(held, reactions, 0.0), axis=1).max(initial=0.0)
+        taken |= held
+        yield own, np.where(own, reactions, 0.0), float(largest)
 
 
 def held_length(problem: CurtainProblem, facets: list[np.ndarray]) -> float:

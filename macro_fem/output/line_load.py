@@ -81,7 +81,7 @@ def warning(solution: CurtainSolution, peak: Extreme, mean: Extreme | None, area
     text += ": judge the rings by max_line_load_over_a_cell_N_per_mm"
     least = FINE * np.sqrt(area)
     if side > least:
-        text += f", which needs mesh cells of {least:.2g} mm there, less than the {digits(side)} mm of this mesh"
+        text += f", which needs mesh cells of {digits(least, 2)} mm there, less than the {digits(side)} mm of this mesh"
     return text
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from homogenize import MembraneLaw
 from macro_fem.answer import Solution
 from macro_fem.output.files import rings as rings_of
+from macro_fem.output.forces import own_forces, support_forces
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.ring_scene import RingScene
 from macro_fem.solution import CurtainSolution
@@ -68,19 +69,15 @@ class EveryRingSolution(Solution):
         has_forces = bool(np.isfinite(contacts.force).all())
         largest = float(contacts.force.max(initial=0.0)) if has_forces else math.nan
         supports = []
-        for name, held in rings.groups:
-            forces, places = solution.reaction[held], zip(rings.mesh.X[held], solution.centre[held], strict=True)
-            supports.append(
-                {
-                    "support": name,
-                    "force_N": or_none(forces.sum(axis=0)),
-                    "largest_nodal_force_N": or_none(np.linalg.norm(forces, axis=1).max(initial=0.0)),
-                    "points": [
-                        {"at_mm": X.tolist(), "force_N": or_none(force), "place_mm": x.tolist()}
-                        for force, (X, x) in zip(forces, places, strict=True)
-                    ],
-                }
-            )
+        shares = own_forces([held for _, held in rings.groups], solution.reaction)
+        for (name, _), (own, part, most) in zip(rings.groups, shares, strict=True):
+            points = [
+                {"at_mm": X.tolist(), "force_N": or_none(force), "place_mm": x.tolist()}
+                for X, force, x, mine in zip(rings.mesh.X, part, solution.centre, own, strict=True)
+                if mine.any()
+            ]
+            whole = {"force_N": or_none(part.sum(axis=0)), "largest_nodal_force_N": or_none(most)}
+            supports.append({"support": name, **whole, "points": points})
         return {
             "status": solution.status,
             "message": solution.message,
@@ -159,9 +156,7 @@ class Comparison:
                 "potential_N_mm": disk.primal,
                 "mean_height_mm": disk.mean_height(),
                 "lowest_point_mm": float(disk.x[:, 1].min()),
-                "support_forces_N": [
-                    disk.reactions[held.nodes].sum(axis=0).tolist() for held in disk.problem.supports.held
-                ],
+                "support_forces_N": [one["force_N"] for one in support_forces(disk)],
                 "wall_s": disk.wall_s,
             },
             "rings": {key: told[key] for key in OF_RINGS}

@@ -46,7 +46,7 @@ OF_DISK = ("kind", "tolerance", "max_iterations", "bounds", "adapt")
 class RingScene:
     """A scene as a finite mesh: rings, dead forces (n, 3) in N, held coordinates (n, 3), their places (n, 3) in mm.
 
-    groups: name of each support and the rings (k,) that it holds; a ring that several hold counts for the first.
+    groups: name of each support and the components (n, 3) of rings that it holds.
     mass (n,): in kg, with that of bars. walls: half-spaces that the rings stay out of. pins: rings held along
     directions in which the supports let the mesh slide, so that it does not; they carry no force. winds: those with a
     speed, and the forces (n, 3) in N of `breeze`, part of `force` unless the speed is 0. notes: what of the scene was
@@ -112,7 +112,7 @@ def ring_scene(scene: Scene, rings: Cell | MembraneLaw | None = None) -> RingSce
     >>> from macro_fem import Rectangle, Top
     >>> scene = Scene(Rectangle(22.0, 12.646069623526), [Top()])
     >>> rings = ring_scene(scene)
-    >>> len(rings.mesh.X), [len(held) for _, held in rings.groups]
+    >>> len(rings.mesh.X), [int(held[:, 1].sum()) for _, held in rings.groups]
     (8, [3])
     """
     info: CellInfo | None
@@ -199,23 +199,26 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
         blown = np.zeros((n, 3))
         np.add.at(blown, ring, load_vector(disc, wind_per_area(breeze(wind), scene, info)))
         winds.append((wind, blown))
-    held, at = np.zeros((n, 3), bool), padded(mesh.X)
-    node, axis = np.nonzero(supports.fixed)
-    held[ring[node], axis] = True
+
+    def on_rings(mask: np.ndarray) -> np.ndarray:
+        """The components (n, 3) of rings that are held with those (n_nodes, d) of nodes."""
+        held = np.zeros((n, 3), bool)
+        node, axis = np.nonzero(mask)
+        held[ring[node], axis] = True
+        if not scene.in_space:
+            held[:, 2] = held[:, 0] | held[:, 1]
+        return held
+
+    held, at, (node, axis) = on_rings(supports.fixed), padded(mesh.X), np.nonzero(supports.fixed)
     way = supports.positions - in_space_of(disc.nodes, scene.d)
     at[ring[node], axis] = padded(mesh.X)[ring[node], axis] + way[node, axis]
-    if not scene.in_space:
-        held[:, 2] = held[:, 0] | held[:, 1]
     bars = []
     mass = areal_mass(scene, info)[0] * PER_MM2 * mesh.area
     np.add.at(mass, ring, bar_masses(scene, fem, disc))
     for bar in (one for one in scene.of(Bar) if one.straight):
         line = ring[edge_nodes(fem, disc, bar.edge, f"{scene.source}: [load.bar] edge")]
         bars.append(line[np.sort(np.unique(line, return_index=True)[1])])
-    groups: list[tuple[str, np.ndarray]] = []
-    for one in supports.held:
-        taken = np.concatenate([np.zeros(0, int), *(rings for _, rings in groups)])
-        groups.append((one.name, np.setdiff1d(ring[one.nodes], taken)))
+    groups = tuple((one.name, on_rings(one.components(supports.mask.shape))) for one in supports.held)
     walls = []
     for item in scene.obstacle:  # at the end of their moves
         m = item.normal(np.zeros((1, 3)))
@@ -223,4 +226,4 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
         walls.append(HalfSpace(tuple(m[0].tolist()), offset, item.name))
     pins = Sliding(ring[supports.pins.nodes], in_space_of(supports.pins.direction, 3))
     mesh = replace(mesh, bars=tuple(bars))
-    return RingScene(scene, mesh, force, held, at, tuple(groups), pins, mass, info, tuple(walls), tuple(winds), notes)
+    return RingScene(scene, mesh, force, held, at, groups, pins, mass, info, tuple(walls), tuple(winds), notes)

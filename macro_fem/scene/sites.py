@@ -76,6 +76,12 @@ class Held:
     slide: Array | None = None
     track: Array | None = field(default=None, repr=False)
 
+    def components(self, shape: tuple[int, ...]) -> np.ndarray:
+        """Whether it holds each component of all nodes, of this shape (n_nodes, d)."""
+        held = np.zeros(shape, bool)
+        held[self.nodes] = self.mask
+        return held
+
 
 @dataclass(frozen=True, eq=False)
 class Site:

@@ -234,12 +234,15 @@ def test_another_scene_does_not_go_on(tmp_path):
 
 def test_modes_prints_one_object_with_ascending_frequencies(tmp_path):
     scene = tmp_path / "scene.toml"
-    scene.write_text("[curtain]\nwidth = 60.0\nheight = 1000.0\n[mesh]\ncells = 2\n[support]\nkind = 'top'\n")
+    text = "[curtain]\nwidth = 60.0\nheight = 1000.0\n[mesh]\ncells = 2\n[support]\nkind = 'top'\n"
+    scene.write_text(text + "[[combination]]\nname = 'a'\n")
     out = str(tmp_path / "out")
     result = CliRunner().invoke(main, ["modes", str(scene), "--number", "2", "--out", out])
     assert result.exit_code == 0, result.output
     exact = [0.25 * j / np.pi * np.sqrt(G / 1000.0) for j in (2.404826, 5.520078)]
-    assert json.loads(result.stdout)["frequencies_Hz"] == pytest.approx(exact, rel=1e-2)
+    told = json.loads(result.stdout)
+    assert told["frequencies_Hz"] == pytest.approx(exact, rel=1e-2)
+    assert told["left_out"].endswith("partial factors of [[combination]]")
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["modes.json", "modes.png", "modes.vtu"]
 
 
