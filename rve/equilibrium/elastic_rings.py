@@ -1,8 +1,7 @@
 """Rings that give: contact forces, compliance and strength of locked states, to first order in the load.
 
-C is the dense flexibility between the contacts of a cell, the sum over its rings (`rve.ring`). Where more touch than
-balance can tell apart, the forces are those of least strain energy, lam C lam / 2. Lengths are in r1, forces in s r1,
-and Young's modulus is 1: compliances are to be divided by E r1, stresses by r1.
+C is the dense flexibility between the contacts of a cell, the sum over its rings (`rve.ring`). Lengths are in r1,
+forces in s r1, and Young's modulus is 1: compliances are to be divided by E r1, stresses by r1.
 """
 
 from __future__ import annotations
@@ -10,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import nnls
 
 from rve.common import Array, Flags, Index, Rows, tell
 from rve.common.tensor import WEIGHT
@@ -18,8 +18,9 @@ from rve.equilibrium.interior_point import Equilibrium
 from rve.equilibrium.limits import SOFT, TOUCHING, shortest, touching
 from rve.equilibrium.system import Equations
 from rve.geometry.kinematics import lattice_strain, second_pk
-from rve.geometry.pose import deformation
+from rve.geometry.pose import deformation, tiled
 from rve.geometry.ring_pair import cross, dot, tangent_frame
+from rve.geometry.weave import supercell
 from rve.ring.kernels import flexibility
 from rve.ring.section import Ring
 from rve.ring.strength import largest_factors, peak_stress, relative_moments
@@ -85,10 +86,9 @@ def contact_ends(equations: Equations, found: Equilibrium) -> Ends:
 def contact_flexibility(ends: Ends, ring: Ring, joint: Array | None = None) -> Array:
     """The flexibility C (n, c, c) between the contacts of each cell, by its curved rings, open at joint (n, k)."""
     mine = [ends.direction * (ends.ring == k)[..., None] for k in range(ends.grain.shape[1])]
-    open_at = [None] * len(mine) if joint is None else list(joint.T)
+    open_at = [None] * len(mine) if joint is None else joint.T
     full = np.sum([flexibility(ends.phi, d, ring.curved(), x) for d, x in zip(mine, open_at, strict=True)], axis=0)
-    c = ends.slot.shape[1]
-    return np.asarray(full[:, :c, :c] + full[:, :c, c:] + full[:, c:, :c] + full[:, c:, c:])
+    return np.asarray(full.reshape(len(full), 2, -1, 2, full.shape[2] // 2).sum(axis=(1, 3)))  # both ends of contacts
 
 
 @dataclass(frozen=True)
@@ -123,6 +123,8 @@ def ring_states(
     collapse are those at the worst angle, forces and compliance those at the angle that gives most. Rows that have not
     converged have nan.
     """
+    space = supercell(equations.weave, 1, 1, "space")  # joints are not symmetric: forces must balance across the plane
+    equations, found = Equations.of(space, equations.wire), replace(found, pose=tiled(found.pose, space))
     good = np.flatnonzero(found.status == "converged")
     nan, tensor = np.full(len(s), np.nan), np.full((len(s), 3, 3), np.nan)
     states = RingStates(np.zeros(found.lam.shape), tensor, tensor, nan, nan, nan)
@@ -136,19 +138,20 @@ def ring_states(
 
 class _Cells:
     """Locked cells that have converged, and their equations at the touching contacts `ends`: gradients G (n, c, m),
-    load f (n, m), forces `start` (n, c) of the rigid solver, strain gradient B (n, 3, 3); area in r1^2."""
+    balanced forces `start` (n, c), strain gradient B (n, 3, 3); area in r1^2."""
 
     def __init__(
         self, equations: Equations, found: Equilibrium, s: Array, reference: tuple[float, float], ring: Ring
     ) -> None:
         self.found, self.ring, self.area = found, ring, reference[0] * reference[1]
-        self.ends = contact_ends(equations, found)
+        self.ends = ends = contact_ends(equations, found)
         self.S = second_pk(deformation(found.pose, reference), s)
         self.dead = replace(equations, load=DeadLoad(reference))
         system = self.dead.assemble(found.pose, found.contacts, found.lam, self.S)
-        self.f, slot = system.f, self.ends.slot
-        self.G = np.take_along_axis(system.G, slot[..., None], axis=1)
-        self.start = np.where(self.ends.present, np.take_along_axis(found.lam.reshape(len(s), -1), slot, axis=1), 0.0)
+        self.G = np.take_along_axis(system.G, ends.slot[..., None], axis=1)
+        self.start = np.where(ends.present, np.take_along_axis(found.lam.reshape(len(s), -1), ends.slot, axis=1), 0.0)
+        for row, here, G, f in zip(self.start, ends.present, self.G, system.f, strict=True):
+            row[here] = balanced_forces(G[here], f, row[here])
         self.B = lattice_strain(found.pose.lattice, reference)[1]
 
     def states(self, angles_deg: tuple[float, ...]) -> RingStates:
@@ -170,7 +173,7 @@ class _Cells:
         lam, stress = np.zeros(ends.slot.shape), np.zeros(n)
         for i in range(n):
             rows = np.flatnonzero(ends.present[i])
-            forces = elastic_forces(G[i, rows], self.f[i], C[i][np.ix_(rows, rows)], self.start[i, rows])
+            forces = elastic_forces(G[i, rows], C[i][np.ix_(rows, rows)], self.start[i, rows])
             lam[i, rows] = np.where(forces > _LEAST_FORCE * forces.max(initial=0.0), forces, 0.0)
         full = np.zeros((n, found.lam[0].size))
         np.put_along_axis(full, ends.slot, lam, axis=1)
@@ -178,8 +181,7 @@ class _Cells:
         locking, elastic = np.empty((n, 3, 3)), np.empty((n, 3, 3))
         for i in range(n):
             rows = np.flatnonzero(lam[i] > 0.0)
-            inner = G[i, rows], C[i][np.ix_(rows, rows)]
-            locking[i], elastic[i] = _compliance(*inner, -J[i], self.B[i], self.area)
+            locking[i], elastic[i] = _compliance(G[i, rows], C[i][np.ix_(rows, rows)], -J[i], self.B[i], self.area)
         for k in range(ends.grain.shape[1]):
             phi, direction, contact = ends.on(k)
             forces = np.take_along_axis(lam, contact, axis=1)[..., None] * direction
@@ -189,9 +191,8 @@ class _Cells:
 
     def _collapse(self, lam: Array, joint: Array | None) -> Array:
         """Yield stress (n,) at which the load is that of plastic collapse: contact forces are free within balance."""
-        working, elastic = (one > 1e-6 * one.max(axis=1, keepdims=True) for one in (self.start, lam))
-        more = (elastic & ~working).any(axis=1, keepdims=True)  # chains side by side share what one of them may carry
-        working, start = working | elastic & more, np.where(more, 0.5 * (self.start + lam), self.start)
+        start = 0.5 * (self.start + lam)  # chains side by side share what one of them may carry
+        working = start > 1e-6 * start.max(axis=1, keepdims=True)
         free = [_split(G[rows])[3] for G, rows in zip(self.G, working, strict=True)]
         width = np.array([N.shape[1] for N in free])
         out = np.empty(len(lam))
@@ -232,26 +233,31 @@ def _positive(K: Array) -> Array:
     return np.asarray(K + 1e-13 * np.trace(K) * np.eye(len(K)))
 
 
-def elastic_forces(G: Array, f: Array, C: Array, start: Array) -> Array:
-    """Forces lam (c,) >= 0 with G^T lam = -f that make lam C lam least; `start` (c,) is one choice of them.
+def balanced_forces(G: Array, f: Array, start: Array) -> Array:
+    """Forces (c,) >= 0 with G^T lam = -f: the nearest to `start` (c,) where these are none below 0."""
+    U, sizes, Vt, _ = _split(G)
+    p = start - U @ (U.T @ start + (Vt[: len(sizes)] @ f) / sizes)
+    return np.maximum(p, 0.0) if p.min(initial=0.0) > -1e-6 else nnls(G.T, -f)[0]
 
-    G (c, m), f (m,), C (c, c). Balance leaves lam = p + N z >= 0: a least-distance problem (Lawson and Hanson, ch. 23).
 
-    >>> G = np.array([[1.0], [1.0]])
-    >>> elastic_forces(G, np.array([-3.0]), np.diag([1.0, 2.0]), np.array([0.0, 3.0])).round(12)
+def elastic_forces(G: Array, C: Array, start: Array) -> Array:
+    """Forces lam (c,) >= 0 that balance what `start` (c,) >= 0 does, G^T lam = G^T start, and make lam C lam least.
+
+    G (c, m), C (c, c). Balance leaves lam = start + N z >= 0: a least-distance problem (Lawson and Hanson, ch. 23).
+
+    >>> elastic_forces(np.array([[1.0], [1.0]]), np.diag([1.0, 2.0]), np.array([0.0, 3.0])).round(12)
     array([2., 1.])
     """
-    U, sizes, Vt, N = _split(G)
-    p = np.maximum(start - U @ (U.T @ start + (Vt[: len(sizes)] @ f) / sizes), 0.0)
+    N = _split(G)[3]
     if not N.shape[1]:
-        return np.asarray(p)
+        return start
     N[np.abs(N) < 1e-12] = 0.0  # of round-off a huge z would be asked
     L = np.linalg.cholesky(_positive(N.T @ C @ N))
-    shift = np.linalg.solve(L, N.T @ C @ p)
+    shift = np.linalg.solve(L, N.T @ C @ start)
     size = np.linalg.norm(shift) or 1.0  # in which |y| is 1 at most
-    A = np.linalg.solve(L, N.T).T  # p + N z = p + A (size y - shift) with size y = L^T z + shift, |y| is to be least
-    y = shortest(size * A, A @ shift - p)
-    return np.asarray(np.maximum(p if y is None else p + A @ (size * y - shift), 0.0))
+    A = np.linalg.solve(L, N.T).T  # N z = A (size y - shift) with size y = L^T z + shift, |y| is to be least
+    y = shortest(size * A, A @ shift - start)
+    return np.asarray(np.maximum(start if y is None else start + A @ (size * y - shift), 0.0))
 
 
 def _compliance(G: Array, C: Array, H: Array, B: Array, area: float) -> tuple[Array, Array]:

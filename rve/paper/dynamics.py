@@ -75,13 +75,7 @@ class Dynamics:
         is_turn = np.arange(len(equations.mass)) >= turns_of(weave, 0).start
         decay = np.where(is_turn, turning, options.damping / (options.load * ring_mass))
         stiffness = options.stiffness / options.load * np.maximum(copies(weave), 1)
-        maps = place_maps(weave, weave.rings)
-        return Dynamics(weave, ring_mass * equations.mass, decay, ring_mass, stiffness, maps)
-
-    @property
-    def damping(self) -> Array:
-        """Damping matrix (m_full, m_full) in s."""
-        return self.mass * self.decay
+        return Dynamics(weave, ring_mass * equations.mass, decay, ring_mass, stiffness, place_maps(weave, weave.rings))
 
     def largest_motion(self, v: Array) -> Array:
         """Largest speed of a ring's centre (r1/s) or of its rotation (rad/s), (n,)."""

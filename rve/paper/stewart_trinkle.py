@@ -149,7 +149,7 @@ def _tried(
 ) -> tuple[CellMotion, Array, Flags]:
     """The motion after a step of length h (n,), the change of its energy, and whether the step may be accepted."""
     T, Tt, hh = start.T, start.T.transpose(0, 2, 1), h[:, None, None]
-    A = np.matmul(Tt, np.matmul(dynamics.mass / hh**2 + dynamics.damping / hh, T)) + start.bend
+    A = np.matmul(Tt, np.matmul(dynamics.mass / hh**2 + dynamics.mass * dynamics.decay / hh, T)) + start.bend
     force = np.matmul(motion.v[:, None, :], dynamics.mass)[:, 0] / h[:, None]
     force[:, :4] += start.load
     b = np.matmul(Tt, force[..., None])[..., 0]

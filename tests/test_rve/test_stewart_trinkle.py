@@ -124,7 +124,7 @@ def test_first_step_from_rest_is_the_implicit_one(loads):
     s = loads[0]
     x2, y3 = FOUR_IN_ONE.start_lattice[:2]
     force = np.array([s[0] * y3, s[1] * y3 - 0.0, s[1] * x2, s[2] * x2])
-    left = (dynamics.mass / h[0] + dynamics.damping) @ after.v[0]
+    left = dynamics.mass * (1.0 / h[0] + dynamics.decay) @ after.v[0]
     assert left[[0, 3]] == pytest.approx(force[[0, 3]], rel=1e-12)
     assert left[4:6] == pytest.approx(0.0, abs=1e-12)
 
