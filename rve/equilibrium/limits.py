@@ -53,9 +53,9 @@ def loose_motions(equations: Equations, found: Equilibrium, s: Array) -> Iterato
 def limit_equilibrium(s: Array, equations: Equations, options: DirectOptions) -> Equilibrium:
     """Equilibria under the loads s (n, 3) that are limits for a vanishing addition to the second principal load.
 
-    Paths for decreasing additions come first, each started from the one before and stopped at complementarity 1e-3 of
-    the addition, where gaps are still open. The smallest three whose extrapolation Newton's method confirms count;
-    status "no-limit" if none do.
+    Paths for every second of decreasing additions come first, each started from the one before and stopped at
+    complementarity 1e-3 of the addition, where gaps are still open. The smallest three whose extrapolation Newton's
+    method confirms count; status "no-limit" if none do.
     """
     mean, half = 0.5 * (s[:, 0] + s[:, 2]), 0.5 * (s[:, 0] - s[:, 2])
     radius = np.hypot(half, s[:, 1])
@@ -63,15 +63,15 @@ def limit_equilibrium(s: Array, equations: Equations, options: DirectOptions) ->
     inward = (mean + radius)[:, None] * (np.array([1.0, 0.0, 1.0]) - n1)
     paths: list[Equilibrium] = []
     start, early = None, replace(options, attempts=1)
-    for size in _SIZES[:-2]:
+    for size in _SIZES[:-2:2]:
         mu = 1e-3 * size
         paths.append(solve_equilibrium(s + size * inward, equations, replace(early, mu_end=mu, tolerance=mu), start))
         start, early = paths[-1].pose, replace(early, mu_start=4.0 * mu)
     result = replace(paths[-1], status=np.full(len(s), "no-limit", dtype="<U16"))
     iterations, left = np.sum([part.iterations for part in paths], axis=0), np.arange(len(s))
-    for k in range(len(paths) - 1, -1, -1):
+    for k in range(len(_SIZES) - 3, -1, -1):
         loads = np.concatenate([s[left] + size * inward[left] for size in _SIZES[k : k + 3]])
-        exact, near = replace(options, attempts=1, mu_start=1e-3 * _SIZES[k]), paths[k].pose.take(np.tile(left, 3))
+        exact, near = replace(options, attempts=1, mu_start=1e-3 * _SIZES[k]), paths[k // 2].pose.take(np.tile(left, 3))
         ends = solve_equilibrium(loads, equations, exact, near)
         three = [ends.take(part) for part in np.arange(3 * len(left)).reshape(3, -1)]
         iterations[left] += np.sum([part.iterations for part in three], axis=0)

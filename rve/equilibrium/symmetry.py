@@ -101,8 +101,10 @@ def solve_equilibrium_symmetric(s: Array, equations: Equations, options: DirectO
     part = solve_equilibrium(s, half, once, symmetric_start(equations.weave, symmetry, len(s)))
     found = expand_symmetric(part, symmetry, equations, unit, options.reach)
     is_solved = is_confirmed(found, half, equations, unit, options.tolerance)
-    slender = np.abs(unit[:, 0] * unit[:, 2] - unit[:, 1] ** 2) < 1e-12  # of rank one
-    is_solved |= slender & (options.tolerance > found.R) & ~strain_is_unique(equations, found, unit)
+    is_slender = np.abs(unit[:, 0] * unit[:, 2] - unit[:, 1] ** 2) < 1e-12  # of rank one
+    thin = np.flatnonzero(is_slender & (options.tolerance > found.R))
+    if len(thin):
+        is_solved[thin] |= ~strain_is_unique(equations, found.take(thin), unit[thin])
     left = np.flatnonzero(~is_solved)
     if not len(left):
         return found

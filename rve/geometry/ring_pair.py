@@ -59,11 +59,13 @@ def cross(a: Array, b: Array) -> Array:
 
 def tangent_frame(n: Array) -> tuple[Array, Array]:
     """Two unit vectors e1, e2 with e1 x e2 = n for unit normals n (..., 3), by Duff et al., JCGT 6 (2017)."""
-    sign = np.copysign(1.0, n[..., 2])
-    a = -1.0 / (sign + n[..., 2])
-    b = n[..., 0] * n[..., 1] * a
-    e1 = np.stack([1.0 + sign * n[..., 0] ** 2 * a, sign * b, -sign * n[..., 0]], axis=-1)
-    e2 = np.stack([b, sign + n[..., 1] ** 2 * a, -n[..., 1]], axis=-1)
+    x, y, z = n[..., 0], n[..., 1], n[..., 2]
+    sign = np.copysign(1.0, z)
+    a = -1.0 / (sign + z)
+    e1, e2 = np.empty((2, *n.shape))
+    e1[..., 0], e2[..., 0] = 1.0 + sign * x**2 * a, x * y * a
+    e1[..., 1], e2[..., 1] = sign * e2[..., 0], sign + y**2 * a
+    e1[..., 2], e2[..., 2] = -sign * x, -y
     return e1, e2
 
 
