@@ -96,8 +96,7 @@ def plot_errors(law: MembraneLaw, rows: LockedRows) -> Axes:
     ax, S, floor = new_axes(), random_loads(), 1e-16
     bins = np.logspace(-16, 0, 65).tolist()
     ax.hist(np.abs(law.support(rows.S) - rows.h) + floor, bins, label="|error of h| at the rows", alpha=0.7)
-    gap = bounds_of(rows).gap(S) + floor
-    ax.hist(gap, bins, label=f"outer - inner bound of h at {len(S)} random loads", alpha=0.7)
+    ax.hist(bounds_of(rows).gap(S) + floor, bins, label=f"outer - inner bound of h at {len(S)} random loads", alpha=0.7)
     ax.set(xscale="log", xlabel="strain (h at unit trace of S)", ylabel="loads", title=f"Errors of the {law.name} law")
     ax.legend()
     return cast("Axes", ax)

@@ -8,6 +8,7 @@ them stands the compliance S:D S along each load.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any
@@ -173,7 +174,9 @@ def strength_of_table(table: StrainTable) -> Strength | None:
     where = "the sidecar file of the table:"
     material = read_typed(Material, read_entry(table.provenance, "material", dict, where), f"{where} material")
     size = trace(table.S)
-    good = table.converged & np.isfinite(table.strength).all(axis=1) & (size > 0.0)
+    good = np.flatnonzero(table.converged & np.isfinite(table.strength).all(axis=1) & (size > 0.0))
+    key = np.column_stack([table.alpha_deg, table.beta_deg, table.S])[good]
+    good = good[np.unique(key, axis=0, return_index=True)[1]]  # in the order of the grid, each once
     S = table.S[good] / size[good, None]
     along = np.einsum("ni,nij,nj->n", S * WEIGHT, table.compliance[good], S)
     s = cauchy_line_load(table.alpha_deg[good], table.beta_deg[good])
@@ -189,11 +192,12 @@ def off_grid(strength: Strength) -> OffGrid | None:
     degree = np.array([[1.0], [1.0], [2.0]])
     values = np.stack([strength.first_yield, strength.collapse, np.sqrt(strength.compliance)])
     errors = []
-    for out, keep in folds_of(strength.S, strength.is_mirrored):
-        others = Directions.of(strength.S[keep], strength.cauchy[keep], strength.is_mirrored)
-        rows, weights = others.at(strength.S[out])
-        guess = (weights * values[:, keep][:, rows]).sum(axis=2)
-        errors.append(np.abs((guess / values[:, out]) ** degree - 1.0))
+    with suppress(InputError):  # loads on one side of the equibiaxial one
+        for out, keep in folds_of(strength.S, strength.is_mirrored):
+            others = Directions.of(strength.S[keep], strength.cauchy[keep], strength.is_mirrored)
+            rows, weights = others.at(strength.S[out])
+            guess = (weights * values[:, keep][:, rows]).sum(axis=2)
+            errors.append(np.abs((guess / values[:, out]) ** degree - 1.0))
     if not errors:
         return None
     most = np.concatenate(errors, axis=1)
@@ -205,9 +209,8 @@ def off_grid(strength: Strength) -> OffGrid | None:
 def read_strength(table: Any, where: str) -> Strength:
     """The strength that `Strength.to_dict` wrote; InputError names file, key and value."""
     found = read_typed(StrengthEntries, table, where)
-    S, cauchy = np.array(found.S), np.array(found.cauchy)
-    first, last = np.array(found.first_yield_1_per_mm), np.array(found.collapse_1_per_mm)
+    strengths = found.first_yield_1_per_mm, found.collapse_1_per_mm, found.compliance_mm_per_N  # None becomes nan
+    S, cauchy, first, last, along = (np.array(values, float) for values in (found.S, found.cauchy, *strengths))
     material = read_typed(Material, found.material, f"{where} material")
-    along = np.array(found.compliance_mm_per_N, float)  # None becomes nan
     joint = Joint.of(table.get("joint", "welded"), f"{where} joint".lstrip()).name
     return Strength(S, cauchy, first, last, along, material, found.error, joint, found.is_mirrored)

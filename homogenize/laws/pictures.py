@@ -106,14 +106,12 @@ def strength_loads(known: Strength, stress: float) -> tuple[Array, Array]:
 def _plot_strength_sections(known: Strength, stress: float, ax: Any) -> None:
     """First yield (lines) and collapse (dashes) over the principal line loads, for three principal directions."""
     share = np.linspace(0.0, 1.0, 91)
+    uses = (known.utilisation, "-", "first yield"), (known.collapse_utilisation, "--", "collapse")
     for degrees, colour, mark in ((0, "black", "o"), (22.5, BLUE, "s"), (45, VERMILION, "^")):
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         first, second = np.array([c * c, c * s, s * s]), np.array([s * s, -c * s, c * c])
         S = share[:, None] * first + (1.0 - share[:, None]) * second
-        for use, line, name in (
-            (known.utilisation, "-", "first yield"),
-            (known.collapse_utilisation, "--", "collapse"),
-        ):
+        for use, line, name in uses:
             used, style = use(S, stress), {"color": colour, "lw": 1.8, "marker": mark, "markevery": 15}
             ax.plot(share / used, (1.0 - share) / used, line, label=f"{degrees:g} deg, {name}", **style)
     ax.set(title="Principal line loads", xlim=(0.0, None), ylim=(0.0, None))

@@ -43,20 +43,12 @@ def table_of(S, E, *, status=None, unique=None, provenance=None):
     alpha = np.degrees(0.5 * np.arctan2(2.0 * S[:, 1], S[:, 0] - S[:, 2]))
     radius = np.hypot(0.5 * (S[:, 0] - S[:, 2]), S[:, 1])
     beta = np.degrees(np.arctan2(0.5 * trace(S) - radius, 0.5 * trace(S) + radius))
-    zeros = np.zeros(n)
-    return StrainTable(
-        alpha,
-        beta,
-        E,
-        S,
-        np.zeros((n, 2)),
-        np.zeros((n, 2)),
-        np.ones(n, bool) if unique is None else unique,
-        np.full(n, "converged") if status is None else status,
-        RowQuality(zeros, zeros, np.zeros(n, int), np.zeros(n, int)),
-        None,
-        {"r1_mm": 5.0, "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": 12.646069623526} if provenance is None else provenance,
-    )
+    unique = np.ones(n, bool) if unique is None else unique
+    status = np.full(n, "converged") if status is None else status
+    sides, quality = np.zeros((n, 2)), RowQuality(np.zeros(n), np.zeros(n), np.zeros(n, int), np.zeros(n, int))
+    if provenance is None:
+        provenance = {"r1_mm": 5.0, "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": 12.646069623526}
+    return StrainTable(alpha, beta, E, S, sides, sides, unique, status, quality, None, provenance)
 
 
 def derivative_errors(law, E, step=1e-6):
