@@ -38,7 +38,8 @@ class PointForce:
 
 
 def point_forces(solution: CurtainSolution) -> Iterator[PointForce]:
-    """Forces of supports that hold single points, and of loads on points and patches, at their present share."""
+    """Forces of supports that hold single points, and of loads on points and patches, at their present share; loads at
+    one node, or on patches of one radius around it, are one force."""
     problem = solution.problem
     nodes, scene, factor = problem.disc.nodes, problem.scene, problem.factor
     size = np.linalg.norm(solution.reactions, axis=1)
@@ -47,9 +48,15 @@ def point_forces(solution: CurtainSolution) -> Iterator[PointForce]:
         for count, node in enumerate(held.nodes if not len(held.facets) else (), 1):
             name, rings = f"support {number} ({held.name})", getattr(item, "rings_per_hook", 1)
             yield PointForce(name, nodes[node], float(size[node]), 0.0, rings, f"{item.one} {count}{of}")
+    together: dict[tuple[int, float], list[tuple[str, PointLoad | PatchLoad]]] = {}
     for name, load in spot_loads(scene):
-        force, spread = factor * float(np.linalg.norm(load.force)), 2.0 * getattr(load, "radius", 0.0)
-        yield PointForce(name, np.array(load.at), force, spread, getattr(load, "rings_per_hook", 0), name)
+        spot = int(point_node(load.at, problem.disc)[0]), getattr(load, "radius", 0.0)
+        together.setdefault(spot, []).append((name, load))
+    for (_, radius), named in together.items():
+        names, loads = zip(*named, strict=True)
+        force = factor * float(np.linalg.norm(np.sum([in_3d(load.force) for load in loads], axis=0)))
+        rings, name = min(getattr(load, "rings_per_hook", 0) for load in loads), " and ".join(names)
+        yield PointForce(name, np.array(loads[0].at), force, 2.0 * radius, rings, name)
 
 
 def spot_loads(scene: Scene) -> list[tuple[str, PointLoad | PatchLoad]]:

@@ -271,10 +271,12 @@ def test_rings_at_corners_points_runners_and_loaded_points():
         most = max(one["largest_nodal_force_N"] for one in told["support_forces"])
         assert told["ring_at_hook"].startswith(f"ring at {name}")
         assert told["utilisation_of_hook_rings_max"] == pytest.approx(most / share / ring.first_yield_N, rel=1e-9)
-    point = {"point": {"at": [30.0, 30.0], "force": [0.0, -8.0], "rings_per_hook": 4}}
-    told = summarize(solve_scene(read_scene(curtain | {"support": {"kind": "top"}, "load": point}), default_law()))
-    assert told["ring_at_hook"] == "ring at load.point 1"
-    assert told["utilisation_of_hook_rings_max"] == pytest.approx(2.0 / ring.first_yield_N, rel=1e-12)
+    point = {"at": [30.0, 30.0], "rings_per_hook": 4}
+    for forces, name in (([-8.0], "load.point 1"), ([-3.0, -5.0], "load.point 1 and load.point 2")):
+        load = {"point": [point | {"force": [0.0, force]} for force in forces]}
+        told = summarize(solve_scene(read_scene(curtain | {"support": {"kind": "top"}, "load": load}), default_law()))
+        assert told["ring_at_hook"] == f"ring at {name}"
+        assert told["utilisation_of_hook_rings_max"] == pytest.approx(2.0 / ring.first_yield_N, rel=1e-12)
 
 
 def test_a_scene_may_say_what_the_rings_are_made_of():
