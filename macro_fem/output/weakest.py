@@ -102,8 +102,8 @@ def envelope(found: Sequence[tuple[Combination, Mapping[str, Any]]]) -> dict[str
         for combination, summary in found
     ]
     worst = max(rows, key=lambda row: row["largest_force_N"])
-    if all(row["weakest_factor"] is not None for row in rows):
-        worst = min(rows, key=lambda row: row["weakest_factor"])
+    if known := [row for row in rows if row["weakest_factor"] is not None]:  # others may be without load
+        worst = min(known, key=lambda row: row["weakest_factor"])
     points: dict[tuple[Any, ...], dict[str, Any]] = {}  # by places: each combination may have refined its own mesh
     for combination, summary in found:
         for row in support_rows(summary["support_forces"])[1]:

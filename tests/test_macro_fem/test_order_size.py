@@ -68,7 +68,9 @@ def test_factors_scale_forces_of_a_shape_that_stays():
     assert [row["combination"] for row in envelope["support_forces"]] == ["all"] * 2
     apart = {"points": [{"at_mm": [9.0, 9.0], "force_N": [0.0, 4.0]}]}  # of a mesh that was refined elsewhere
     other = summary | {"support_forces": [summary["support_forces"][0] | apart]}
-    both = weakest.envelope([(factors[0], summary), (factors[1], other)])
+    told = [(factors[0], summary | {"weakest_factor": None}), (factors[1], other)]  # the first as if without load
+    both = weakest.envelope(told)
+    assert both["envelope"]["governing"] == "light"
     assert [row["combination"] for row in both["envelope"]["support_forces"]] == ["all", "all", "light"]
 
 
