@@ -160,11 +160,10 @@ def nearest(solution: CurtainSolution, at: Array) -> str:
     nodes, scene = problem.disc.nodes, problem.scene
     places = {f"support {n} ({held.name})": nodes[held.nodes] for n, held in enumerate(problem.supports.held, 1)}
     places |= {name: np.array([load.at]) for name, load in spot_loads(scene)}
-    edges: tuple[type[EdgeLoad | Bar], ...] = (EdgeLoad, Bar)
-    for along in edges:
-        for n, one in enumerate(scene.of(along), 1):
-            on_edge = edge_nodes(problem.mesh, problem.disc, one.edge, f"{scene.source}: {one.where} edge")
-            places[f"load.{along.kind} {n} ({one.edge})"] = nodes[on_edge]
+    edges: list[tuple[int, EdgeLoad | Bar]] = [*enumerate(scene.of(EdgeLoad), 1), *enumerate(scene.of(Bar), 1)]
+    for n, one in edges:
+        on_edge = edge_nodes(problem.mesh, problem.disc, one.edge, f"{scene.source}: {one.where} edge")
+        places[f"load.{one.kind} {n} ({one.edge})"] = nodes[on_edge]
     return min(places, key=lambda name: float(np.linalg.norm(places[name] - at, axis=1).min()))
 
 

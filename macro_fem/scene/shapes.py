@@ -67,7 +67,7 @@ class Disk(Shape, kind="disk"):
         n = max(8, math.ceil(math.pi * cells))
         angle = 0.5 * math.pi + 2.0 * math.pi * np.arange(n) / n
         same_area = self.radius * math.sqrt(2.0 * math.pi / (n * math.sin(2.0 * math.pi / n)))
-        return same_area * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        return same_area * np.round(np.stack([np.cos(angle), np.sin(angle)], axis=-1), 15)  # 0 is 0
 
 
 @dataclass(frozen=True)

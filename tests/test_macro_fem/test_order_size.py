@@ -46,6 +46,7 @@ def test_the_order_sheet_weighs_what_its_rings_weigh():
     assert order["covers_width_mm"] == pytest.approx(330.0, rel=0.02)
     disk = solve(Scene(macro_fem.Disk(60.0), [macro_fem.Top()], mesh=Mesh(cells=6))).summary["order"]
     assert disk["mesh_width_mm"] == disk["mesh_height_mm"] == 120.0  # not those of its polygon
+    assert 0.0 in macro_fem.Disk(60.0).corners(6)  # sentences told a place at x = 4e-15
 
 
 def test_factors_scale_forces_of_a_shape_that_stays():
