@@ -64,9 +64,8 @@ class MovingRings(Mover[RingFrame, RingScene]):
         self.first = ring_scene(scene_at(scene, 0.0), self.who.rings)
         self.what, self.size = f"{len(self.first.mesh.X)} rings", float(np.hypot(*np.ptp(self.first.mesh.X, axis=0)))
         g = np.array(self.first.scene.load.acceleration)
-        weights = [tuple((ball.mass * g).tolist()) for ball in self.balls]
-        pairs = zip(self.balls, weights, strict=True)
-        self.bodies = tuple(RoundBody(ball.at, ball.radius, weight, ball.name) for ball, weight in pairs)
+        weighed = ((ball, tuple((ball.mass * g).tolist())) for ball in self.balls)
+        self.bodies = tuple(RoundBody(ball.at, ball.radius, weight, ball.name) for ball, weight in weighed)
 
     def act(self, t: float) -> RingScene:
         return with_loads(scene_at(self.scene, t), self.first.info, self.first.mesh, self.released)
@@ -92,8 +91,7 @@ class MovingRings(Mover[RingFrame, RingScene]):
             raise InputError(f"{self.scene.source}: --start {start}: is for rings at rest; begin from the slack weave")
         if not is_hung:
             return self.frame_of(self._slack())
-        by_motion = FiniteOptions(by_motion=start == "motion")
-        found = self.first.solve(space=self.who.space, options=by_motion)
+        found = self.first.solve(space=self.who.space, options=FiniteOptions(by_motion=start == "motion"))
         if found.status != "converged":
             raise NotConverged(f"{self.scene.source}: the rings at rest at t = 0 are {found.status}: {found.message}")
         return self.frame_of(found)

@@ -166,6 +166,8 @@ def _finite_mesh(scene: Scene, info: CellInfo) -> FiniteMesh:
             f"{source}: [curtain]: {count:.3g} cells of the weave are more than {MOST_CELLS}; make it smaller"
         )
     cell = cell_of_sides(info.r1_mm, info.r2_mm, (info.b_x_mm, info.b_y_mm))
+    mass = 1e-6 * info.areal_mass_kg_per_m2 * info.b_x_mm * info.b_y_mm / cell.weave.classes  # of a ring
+    cell = replace(cell, density=cell.density * mass / cell.ring_mass)
     try:
         return FiniteMesh.inside(cell, outline, [np.array(hole) for hole in curtain.holes], curtain.weave_angle)
     except InputError as error:
