@@ -119,7 +119,7 @@ def interval_summary(level: Level) -> dict[str, Any]:
     law has no rows: then the interval is that of the law, not of the rings."""
     bounds, problem, law = level.bounds, level.solution.problem, level.bounds.law_part
     what, unit, per, ends = "potential", "N_mm", 1.0, [bounds.lower, bounds.upper]
-    of = "potential, since other loads than the curtain's weight act"
+    of = "potential, since the loads are not the curtain's weight downwards alone"
     if is_mean_height(problem):
         what, unit, per, of = "mean_height", "mm", float(np.abs(problem.force).sum()), "mean height"
         ends = bounds_summary(level)["mean_height_mm"]
