@@ -168,8 +168,7 @@ def _colour(solution: CurtainSolution, values: Array, ax: Axes, **style: Any) ->
     outline = mesh.p.T[mesh.facets[:, mesh.boundary_facets()].T]
     dashes: Any = (0, (4, 3))
     ax.add_collection(LineCollection(list(outline), colors="0.45", lw=0.8, ls=dashes, label="before deformation"))
-    facets = np.unique(np.concatenate([held.facets for held in supports.held]))
-    if len(facets):
+    if facets := [facet for held in supports.held for facet in held.facets]:
         lines = list(corners[mesh.facets[:, facets].T])
         ax.add_collection(LineCollection(lines, colors=HELD, linewidths=2.5, label="held edge"))
     count = supports.mask.sum(axis=1)

@@ -69,9 +69,8 @@ def test_factors_scale_forces_of_a_shape_that_stays():
     assert [row["combination"] for row in envelope["support_forces"]] == ["all"] * 2
     apart = {"points": [{"at_mm": [9.0, 9.0], "force_N": [0.0, 4.0]}]}  # of a mesh that was refined elsewhere
     other = summary | {"support_forces": [summary["support_forces"][0] | apart]}
-    told = [(factors[0], summary | {"weakest_factor": None}), (factors[1], other)]  # the first as if without load
-    both = weakest.envelope(told)
-    assert both["envelope"]["governing"] == "light"
+    both = weakest.envelope([(factors[0], summary | {"weakest_factor": None}), (factors[1], other)])
+    assert both["envelope"]["governing"] == "light"  # the other is as without load
     assert [row["combination"] for row in both["envelope"]["support_forces"]] == ["all", "all", "light"]
 
 
@@ -163,12 +162,13 @@ def test_an_outline_goes_to_cad_and_back(tmp_path):
     assert scene.curtain.weave_angle == 10.0
     assert solve(scene).summary["mass_kg"] == pytest.approx(first.summary["mass_kg"], rel=1e-9)
     assert {tuple(corner) for corner in hole} <= {tuple(map(float, one)) for one in scene.curtain.holes[0]}
-    drawing = ezdxf.new()
+    drawing = ezdxf.new(units=ezdxf.units.MM)
     drawing.modelspace().add_lwpolyline([(0, 0, 0.5), (9, 0, 0.0), (9, 9, 0.0)], format="xyb", close=True)
     drawing.saveas(tmp_path / "round.dxf")
-    ezdxf.new().saveas(tmp_path / "empty.dxf")
+    for name, unit in (("empty", 0), ("inches", 1)):
+        ezdxf.new(units=unit).saveas(tmp_path / f"{name}.dxf")
     (tmp_path / "words.dxf").write_text("no drawing")
-    refused = {"round": "closed polylines .* no arcs", "empty": "needs closed polylines"}
+    refused = {"round": "closed polylines .* no arcs", "empty": "needs closed polylines", "inches": "the unit inches"}
     refused |= dict.fromkeys(("words", "none"), "cannot be read as DXF") | {"": "file: is missing"}
     for name, words in refused.items():
         curtain = {"shape": "dxf"} | ({"file": f"{name}.dxf"} if name else {})

@@ -127,21 +127,24 @@ def _check_sides(mesh: Any) -> None:
 def read_outline(path: Path) -> dict[str, Any]:
     """Keys `outline` and `holes` of a shape from the closed polylines of a DXF file in mm: the largest is the outline.
 
-    InputError where ezdxf is missing, for a file that is none, and where it has no closed polyline or arcs in one.
+    InputError without ezdxf, for no such file, one in another unit, without closed polylines, or with arcs in one.
     """
     require("ezdxf", "cad", "a DXF outline", "give its corners as outline")
-    import ezdxf
+    import ezdxf.units
 
     try:
-        lines: Any = ezdxf.readfile(path).modelspace().query("LWPOLYLINE POLYLINE")
+        drawing = ezdxf.readfile(path)
     except (OSError, ezdxf.DXFError) as error:
         raise InputError(f"{path}: cannot be read as DXF: {str(error).splitlines()[0]}") from error
+    if drawing.units not in (0, ezdxf.units.MM):
+        raise InputError(f"{path}: states the unit {ezdxf.units.unit_name(drawing.units).lower()}, it must be mm")
+    lines: Any = drawing.modelspace().query("LWPOLYLINE POLYLINE")
     closed = [line for line in lines if (line.closed if line.dxftype() == "LWPOLYLINE" else line.is_closed)]
     if not closed or any(line.has_arc for line in closed):
         raise InputError(f"{path}: needs closed polylines (LWPOLYLINE or POLYLINE) of straight sides, no arcs")
-    rings = [[(float(x), float(y)) for x, y, *_ in line.vertices_in_wcs()] for line in closed]
-    rings.sort(key=lambda ring: -abs(signed_areas(np.array(ring))))
-    return {"outline": rings[0], "holes": rings[1:]}
+    rings = ([(float(x), float(y)) for x, y, *_ in line.vertices_in_wcs()] for line in closed)
+    outline, *holes = sorted(rings, key=lambda ring: -abs(signed_areas(np.array(ring))))
+    return {"outline": outline, "holes": holes}
 
 
 STRAIGHT = 1e-9
@@ -151,7 +154,6 @@ STRAIGHT = 1e-9
 def write_outline(path: Path, mesh: Any) -> None:
     """Write the corners of the boundary of a scikit-fem mesh, mm, as closed polylines of a DXF file."""
     require("ezdxf", "cad", "--dxf", "leave it out")
-    import ezdxf
     import ezdxf.units
 
     document = ezdxf.new(units=ezdxf.units.MM)
