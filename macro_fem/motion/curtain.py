@@ -15,7 +15,7 @@ from macro_fem.fem.assembly import gradient, internal_force, load_vector
 from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
 from macro_fem.motion.pace import Failed, Frame, Mover
-from macro_fem.motion.stage import Contacts, forces_at, let_go, masses_of, scene_at, stored_energy, weights_of
+from macro_fem.motion.stage import Contacts, forces_at, let_go, masses_of, scene_at, stored_energy, weights_of, winds_at
 from macro_fem.motion.step import (
     Account,
     Moment,
@@ -39,7 +39,7 @@ from macro_fem.scene.sites import Support
 from macro_fem.scene.tables import Item
 from macro_fem.solution import CurtainSolution, InnerForces
 from macro_fem.solvers.cones import Cones
-from macro_fem.solvers.path import PathResult
+from macro_fem.solvers.path import PathResult, times
 from macro_fem.solvers.status import ROUNDING, Evidence
 from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, InputError, NotConverged, digits
@@ -197,8 +197,18 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         inner, asked = InnerForces(frame.P, frame.S, 0.0, np.zeros(0)), Evidence(1.0, 1.0, 1.0)
         return CurtainSolution(told, "converged", asked, frame.moment.x[:n], inner, 0.0, 0.0, frame.iterations, 0.0)
 
+    def blown(self, frame: MotionFrame) -> CurtainSolution:
+        """The curtain at a frame, and winds with a speed as they press its cells, for pictures."""
+        found, problem = self.as_solution(frame), frame.problem
+        if not problem.winds:
+            return found
+        force, blocks = winds_at(problem, frame.moment)
+        force -= times(blocks, frame.moment.v[: len(force)])
+        wind = (force / load_vector(problem.disc, np.array([1.0])))[problem.disc.cell_dofs].mean(axis=1)
+        return replace(found, problem=replace(found.problem, winds=problem.winds, wind=wind))
+
     def _titled(self, frames: Sequence[MotionFrame]) -> Titled:
-        return [(f"{one.moment.t:.3f} s", self.as_solution(one)) for one in frames]
+        return [(f"{one.moment.t:.3f} s", self.blown(one)) for one in frames]
 
     def write_vtu(self, path: Path, frame: MotionFrame) -> None:
         write_vtu(path, self.as_solution(frame))

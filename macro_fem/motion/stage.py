@@ -77,20 +77,31 @@ def forces_at(problem: CurtainProblem, balls: tuple[Ball, ...], now: Moment, dam
     """Forces on nodes and bodies at the end of a step; winds with a speed by the velocity relative to the mesh."""
     dead, n = weights_of(problem, balls), problem.disc.n_nodes
     live, drag = np.zeros_like(dead), None
+    live[:n] = without_wind(problem).force - dead[:n]
     if problem.winds:
-        still = with_wind(problem, np.zeros((problem.disc.n_points, 3)))
-        live[:n] = still.force - dead[:n]
         drag = np.zeros((len(dead), 3, 3))
-        for wind in problem.winds:
-            one = replace(problem, winds=(breeze(wind),))
-            pressed = with_wind(still, wind_density(one, now.x[:n], senses(one))).force - still.force
-            own, block = relative_wind(wind, pressed, now.v[:n])
-            live[:n] += own
-            drag[:n] += block
-    else:
-        live[:n] = problem.force - dead[:n]
+        blown, drag[:n] = winds_at(problem, now)
+        live[:n] += blown
     resist = np.where(np.arange(len(dead)) < n, damping, 0.0)  # not of bodies
     return Forces(dead, live, drag, resist)
+
+
+def without_wind(problem: CurtainProblem) -> CurtainProblem:
+    """The problem without the winds whose force depends on its shape."""
+    return with_wind(problem, np.zeros((problem.disc.n_points, 3))) if problem.winds else problem
+
+
+def winds_at(problem: CurtainProblem, now: Moment) -> tuple[Array, Array]:
+    """Forces (n_nodes, 3) of these winds by the velocity relative to the mesh, and blocks, see `relative_wind`."""
+    n, still = problem.disc.n_nodes, without_wind(problem)
+    force, blocks = np.zeros((n, 3)), np.zeros((n, 3, 3))
+    for wind in problem.winds:
+        one = replace(problem, winds=(breeze(wind),))
+        pressed = with_wind(still, wind_density(one, now.x[:n], senses(one))).force - still.force
+        own, block = relative_wind(wind, pressed, now.v[:n])
+        force += own
+        blocks += block
+    return force, blocks
 
 
 def relative_wind(wind: Wind, force: Array, v: Array) -> tuple[Array, Array]:

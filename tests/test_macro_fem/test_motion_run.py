@@ -21,6 +21,7 @@ from macro_fem.motion.modes import find_modes
 from macro_fem.motion.pace import COLUMNS
 from macro_fem.motion.stage import masses_of, scene_at
 from macro_fem.motion.step import Moment, kinetic_energy
+from macro_fem.output.forces import winds
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.loads import wind_pressure
 from macro_fem.scene.moving import Ball
@@ -107,6 +108,9 @@ def test_still_air_after_a_gust_slows_the_sheet():
     problem = found.frames[0].problem
     k = wind_pressure(problem.winds[0], problem.law.cell) * 400.0**2 / masses_of(problem, ()).sum() / 1e4**2
     assert np.diff(slowness)[0] == pytest.approx(k * (told["t_s"][-2] - told["t_s"][late]), rel=1e-3)
+    last, moving = found.frames[-1], MovingCurtain(read_scene(SHEET | FREE | {"motion": motion}), default_law())
+    resists = -k * masses_of(problem, ()) @ last.moment.v[:, 2] ** 2
+    assert winds(moving.blown(last))[1].sum(axis=0) == pytest.approx([0.0, 0.0, resists], rel=1e-4)
 
 
 @pytest.mark.parametrize("step", [{"step": 0.01}, {}])
