@@ -31,13 +31,7 @@ ELASTIC_GAP = 1e-2
 
 
 def solve_scene(scene: Scene, law: MembraneLaw) -> CurtainSolution:
-    """The curtain of a scene at its full load.
-
-    >>> from homogenize.io import default_law
-    >>> from macro_fem import Mesh, Rectangle, Top
-    >>> solve_scene(Scene(Rectangle(100.0, 100.0), [Top()], Mesh(cells=4)), default_law()).status
-    'converged'
-    """
+    """The curtain of a scene at its full load."""
     law = with_material(law, dict(scene.material), f"{scene.source}: [material]")
     mesh = build_mesh(scene, law.cell)
     return solve_problem(make_problem(scene, law, mesh))

@@ -26,6 +26,7 @@ from macro_fem.scene.tables import Combination
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.status import Status
 from rve.common import InputError, check_out_file, csv_text, tell, write_text
+from rve.common.meshes import write_mesh_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -73,9 +74,12 @@ class MembraneSolution(Solution):
         summary = self._summary(picture=wanted.picture)
         area = self.solution.problem.disc.cell_area
         error = {"error_N_mm_per_mm2": self.levels[-1].bounds.error / area} if self.levels else {}
-        files.write_vtu(staged / "curtain.vtu", self.loaded, error)
+        write_mesh_file(staged / "curtain.vtu", files.curtain_mesh(self.loaded, error))
         if len(self.steps) > 1:
-            files.write_series(staged, self._shown)
+            entries = [(k / len(self.steps), 0, f"curtain_{k:04d}.vtu") for k in range(1, len(self.steps) + 1)]
+            for (_, _, name), step in zip(entries, self._shown, strict=True):
+                write_mesh_file(staged / name, files.curtain_mesh(step))
+            write_text(staged / "curtain.pvd", files.collection(entries))
         tell("files and pictures")
         write_pictures(staged, self._shown, wanted)
         write_text(staged / "order.csv", csv_text(list(summary["order"]), [summary["order"].values()]))

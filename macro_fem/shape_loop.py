@@ -56,9 +56,9 @@ STEEP_PART = 0.1
 """First part of a change that is taken of wind that follows with a speed, whose force falls much faster than the sheet
 turns out of it. Larger parts begin with more detours."""
 STEEP_SETTLED, STEEP_TOLERANCE = 1e-3, 1e-12
-"""What such wind may still turn, over the loads, and the largest gap of its convex solves: positions are known to the
-square root of the gap, and forces on a sheet at 8 degrees to the wind to thirteen times that. With 1e-9 some strips
-find no rest."""
+"""What such wind, and drag after the last round, may still turn, over the loads, and the largest gap of the convex
+solves of such wind: positions are known to the square root of the gap, and forces on a sheet at 8 degrees to the wind
+to thirteen times that. With 1e-9 some strips find no rest."""
 
 Solve = Callable[[CurtainProblem, CurtainSolution | None], CurtainSolution]
 """The solver of a convex problem, from a curtain before."""
@@ -97,9 +97,10 @@ def solve_shape(
         turned = [tangent_walls(body, problem.fem, found.x) for body in problem.bodies]
         record = _measure_settling(problem, found, turned, change, settled)
         record = replace(record, rounds=rounds, crossed=watch.deepest)
-        if is_drag and mixer.idle > DRAG_IDLE:
-            record = replace(record, asked=DRAG_SETTLED)
-        if record.is_settled or (problem.winds and mixer.idle > IDLE):
+        is_last = rounds == most or bool(problem.winds and mixer.idle > IDLE)
+        if is_drag and (is_last or mixer.idle > DRAG_IDLE):
+            record = replace(record, asked=STEEP_SETTLED if is_last else DRAG_SETTLED)
+        if record.is_settled or is_last:
             break
         misfits.append(record.misfit)
         tangents = turned
@@ -109,11 +110,10 @@ def solve_shape(
             wind = wind_density(problem, shape, sense)
         else:
             shape, wind = found.x, mixer.next(wind, change)
-        if rounds < most:
-            share = way(misfits[0], record.misfit, settled)
-            with part_of(f"shape of the curtain, round {rounds}", share, share):
-                last, found = found, solve(_pose(problem, tangents, wind), found)
-            watch.look(problem.bodies, last.x, found.x)
+        share = way(misfits[0], record.misfit, settled)
+        with part_of(f"shape of the curtain, round {rounds}", share, share):
+            last, found = found, solve(_pose(problem, tangents, wind), found)
+        watch.look(problem.bodies, last.x, found.x)
     own = replace(found.problem, scene=scene, bodies=problem.bodies, winds=problem.winds)
     return replace(found, problem=own, settling=record, wall_s=time.perf_counter() - begin)
 

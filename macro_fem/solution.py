@@ -122,6 +122,11 @@ class CurtainSolution(Judged):
         return green_strain(self.F)
 
     @property
+    def corners(self) -> Array:
+        """Positions of the corners of the mesh (n_corners, d), mm: the first nodes of every element."""
+        return self.x[: self.problem.mesh.mesh.p.shape[1]]
+
+    @property
     def displacement(self) -> Array:
         """x - X (n_nodes, d), mm."""
         return self.x - self.problem.fem.reference

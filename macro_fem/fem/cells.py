@@ -31,27 +31,26 @@ def triangle_areas(corners: Array) -> Array:
 
 
 def mean_at_corners(cells: Index, values: Array, weight: Array | None = None) -> Array:
-    """The mean at each corner (p, ...) of what the cells (c, k) that meet there say, values (c, k, ...).
+    """The mean at each corner (p, ...) of the values (c, ...) of the cells (c, k) that meet there.
 
     weight (c,) of the cells, None for equal ones; p is the largest corner number plus one.
 
-    >>> mean_at_corners(np.array([[0, 1], [1, 2]]), np.array([[1.0, 1.0], [3.0, 3.0]]))
+    >>> mean_at_corners(np.array([[0, 1], [1, 2]]), np.array([1.0, 3.0]))
     array([1., 2., 3.])
     """
     where, count = cells.ravel(), int(cells.max()) + 1
     share = np.repeat(np.ones(len(cells)) if weight is None else weight, cells.shape[1])
     total = np.maximum(np.bincount(where, weights=share, minlength=count), 1e-300)
-    columns = values.reshape(cells.size, -1).T
+    columns = np.repeat(values.reshape(len(cells), -1), cells.shape[1], axis=0).T
     means = [np.bincount(where, weights=share * column, minlength=count) / total for column in columns]
-    return np.stack(means, axis=-1).reshape(count, *values.shape[2:])
+    return np.stack(means, axis=-1).reshape(count, *values.shape[1:])
 
 
 def recovered(cells: Index, values: Array, area: Array) -> Array:
     """Cell values (c, ...) averaged over the cells at each corner, then over the corners of each cell: stresses of
     locked cells are right on average only, as equilibrium does not decide how neighbours share a load.
     """
-    each = np.repeat(values[:, None], cells.shape[1], axis=1)
-    return np.asarray(mean_at_corners(cells, each, area)[cells].mean(axis=1))
+    return np.asarray(mean_at_corners(cells, values, area)[cells].mean(axis=1))
 
 
 def in_space_of(plane: Array, d: int) -> Array:

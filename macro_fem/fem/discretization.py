@@ -173,14 +173,11 @@ def reference_shapes(element: Any, X: Array, n_local: int) -> tuple[Array, Array
     return values, gradients.transpose(1, 0, 2).copy()
 
 
-def discretize(mesh: Any, element: str, order: int | None = None) -> Discretization:
-    """The arrays of a scikit-fem mesh of triangles (`MeshTri`) with an element of `ELEMENTS`.
-
-    `order` is the polynomial degree integrated exactly; None takes the element's own. ValueError for a cell without
-    area.
+def discretize(mesh: Any, element: str) -> Discretization:
+    """The arrays of a scikit-fem mesh of triangles (`MeshTri`) with an element of `ELEMENTS`, which names the degree
+    that is integrated exactly. ValueError for a cell without area.
     """
-    element_type, own_order = ELEMENTS[element]
-    degree = own_order if order is None else order
+    element_type, degree = ELEMENTS[element]
     # scikit-fem starts at three points on a triangle; a constant gradient needs one.
     rule = (np.full((2, 1), 1 / 3), np.array([0.5])) if degree <= 1 else None
     basis = skfem.CellBasis(mesh, element_type(), intorder=degree, quadrature=rule)

@@ -28,7 +28,7 @@ from macro_fem.motion.step import (
     support_forces,
 )
 from macro_fem.output import strength
-from macro_fem.output.files import write_vtu
+from macro_fem.output.files import curtain_mesh
 from macro_fem.output.pictures import figures, side_by_side
 from macro_fem.output.space_view import Titled, drawn, save_panels
 from macro_fem.problem import CurtainProblem, make_problem
@@ -45,6 +45,7 @@ from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, InputError, NotConverged, digits
 from rve.common.drawing.plane import save_figure
 from rve.common.drawing.space import THREE_QUARTERS
+from rve.common.meshes import write_mesh_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -211,7 +212,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         return [(f"{one.moment.t:.3f} s", self.blown(one)) for one in frames]
 
     def write_vtu(self, path: Path, frame: MotionFrame) -> None:
-        write_vtu(path, self.as_solution(frame))
+        write_mesh_file(path, curtain_mesh(self.as_solution(frame)))
 
     def drawn(self, frames: Sequence[MotionFrame]) -> Iterable[tuple[str, Plotter]]:
         return drawn(self._titled(frames))

@@ -31,7 +31,6 @@ from macro_fem.fem.assembly import SparsityPattern, stiffness
 from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
 from macro_fem.fem.discretization import ELEMENTS
 from macro_fem.motion.stage import TONNE, masses_of, mesh_masses, pushed_points, scene_at
-from macro_fem.output.files import corner_positions
 from macro_fem.output.pictures import Pictures
 from macro_fem.scene.supports import build_supports
 from macro_fem.scene.tables import Bar
@@ -175,7 +174,7 @@ def _roughness(solution: CurtainSolution, shapes: Array) -> Array:
     S = disc.cell_area[:, None, None] * S[:, SQUARE]
     slope = np.einsum("kcna,cni->ckai", shapes[:, disc.cell_dofs], disc.grad[: disc.n_cells])
     each = np.repeat(slope[:, None], 3, axis=1)
-    away = mean_at_corners(disc.cell_dofs, each, disc.cell_area)[disc.cell_dofs] - each
+    away = mean_at_corners(disc.cell_dofs, slope, disc.cell_area)[disc.cell_dofs] - each
     middle = 0.5 * (away + np.roll(away, 1, axis=1))  # of the sides, where squares of what is linear are integrated
     lacking, stored = (np.einsum("cmkai,cij,cmkaj->k", e, S, e, optimize=True) for e in (middle, each))
     return np.asarray(lacking / stored)
@@ -263,7 +262,7 @@ def write_shapes(folder: Path, modes: Modes, *, picture: bool) -> None:
     modes.png, the shapes side by side, each at `SHOWN` of the size of the curtain."""
     import meshio
 
-    problem, rest = modes.solution.problem, padded(corner_positions(modes.solution))
+    problem, rest = modes.solution.problem, padded(modes.solution.corners)
     cells = counterclockwise(problem.mesh.mesh.p.T, problem.mesh.mesh.t.T)
     shapes = [shape[: len(rest)] for shape in modes.shapes]
     names = [f"shape_{k}_{one:.5g}_Hz" for k, one in enumerate(modes.frequencies_Hz, 1)]

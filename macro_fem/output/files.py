@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.tables import Bar, LiveLoad
 from macro_fem.solution import CurtainSolution
-from rve.common import Array, meshes, versions, write_text
+from rve.common import Array, meshes, versions
 from rve.common.factor import linear_solver
 
 if TYPE_CHECKING:
@@ -154,29 +153,11 @@ def features(solution: CurtainSolution, *, bounds: bool, picture: bool) -> list[
     return [{"feature": name, "used": used, "why": why} for name, used, why in rows]
 
 
-def write_series(folder: Path, steps: Sequence[CurtainSolution]) -> None:
-    """curtain_0001.vtu and so on, one per load step, and curtain.pvd that lists them by the share of the load."""
-    entries = [(k / len(steps), 0, f"curtain_{k:04d}.vtu") for k in range(1, len(steps) + 1)]
-    for (_, _, name), solution in zip(entries, steps, strict=True):
-        write_vtu(folder / name, solution)
-    write_text(folder / "curtain.pvd", collection(entries))
-
-
 def collection(entries: Sequence[tuple[float, int, str]]) -> str:
     """The text of a PVD file that lists times, numbers of parts and names of files."""
     lines = [f'    <DataSet timestep="{t:.9g}" part="{part}" file="{name}"/>' for t, part, name in entries]
     head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
     return head + "\n".join(lines) + "\n  </Collection>\n</VTKFile>\n"
-
-
-def corner_positions(solution: CurtainSolution) -> Array:
-    """Deformed corners of the mesh (n_corners, d), the first nodes of every element."""
-    return solution.x[: solution.problem.mesh.mesh.p.shape[1]]
-
-
-def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | None = None) -> None:
-    """Write `curtain_mesh` as VTU, atomically."""
-    meshes.write_mesh_file(path, curtain_mesh(solution, extra))
 
 
 def curtain_mesh(solution: CurtainSolution, extra: dict[str, Array] | None = None) -> Any:
@@ -201,7 +182,7 @@ def curtain_mesh(solution: CurtainSolution, extra: dict[str, Array] | None = Non
         **(extra or {}),
     }
     point_data = {
-        meshes.DISPLACEMENT: padded(corner_positions(solution)) - padded(mesh.p.T),
+        meshes.DISPLACEMENT: padded(solution.corners) - padded(mesh.p.T),
         "support_force_N": padded(corner_forces(problem, solution.reactions)),
     }
     if len(problem.walls):

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from macro_fem.output import strength
-from macro_fem.output.files import corner_positions
 from macro_fem.output.forces import FORCES
 from macro_fem.output.space_view import LONGEST, Titled, draw_curtain, drawn, line_load_scale, save_panels, title
 from macro_fem.scene.scene import Scene
@@ -163,7 +162,7 @@ def _colour(solution: CurtainSolution, values: Array, ax: Axes, **style: Any) ->
     """Triangles in the colours of cell values (n_cells,), outline of the reference, what is held."""
     from matplotlib.collections import LineCollection
 
-    mesh, supports, corners = solution.problem.mesh.mesh, solution.problem.supports, corner_positions(solution)[:, :2]
+    mesh, supports, corners = solution.problem.mesh.mesh, solution.problem.supports, solution.corners[:, :2]
     ax.tripcolor(corners[:, 0], corners[:, 1], mesh.t.T, facecolors=values, edgecolors="face", lw=0.3, **style)
     outline = mesh.p.T[mesh.facets[:, mesh.boundary_facets()].T]
     dashes: Any = (0, (4, 3))
@@ -196,7 +195,7 @@ def _directions(solution: CurtainSolution, principal: tuple[Array, Array], scale
     along = np.einsum("cij,cj->ci", F, direction[cells])[:, :2]
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
     share = np.sqrt(np.minimum(values[cells, 0] / scale.top, 1.0))
-    centre = corner_positions(solution)[:, :2][mesh.t.T[cells]].mean(axis=1)
+    centre = solution.corners[:, :2][mesh.t.T[cells]].mean(axis=1)
     half = 0.01 * solution.problem.mesh.size * along * share[:, None]
     tones = np.where(share > 0.55, "black", "white").tolist()  # black on bright colours, white on dark ones
     ax.add_collection(LineCollection(list(np.stack([centre - half, centre + half], axis=1)), colors=tones, lw=0.8))

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
-from macro_fem.output.files import corner_positions
 from macro_fem.output.forces import FORCES
 from macro_fem.problem import placed_obstacles
 from macro_fem.scene.obstacles import Box, Cylinder, Floor, PlacedObstacle, Sphere, Wall, unit
@@ -72,7 +71,7 @@ class PictureFrame:
         largest = tuple(max(np.linalg.norm(one, axis=1).max(initial=0.0) for (_, one), _ in kind) for kind in each)
         both = ((at, way * force) for kind in each for (at, force), way in kind)
         at, force = (np.concatenate(parts) for parts in zip(*both, strict=True))
-        room = box_of(np.concatenate([padded(corner_positions(step)) for step in steps]))
+        room = box_of(np.concatenate([padded(step.corners) for step in steps]))
         size = float(np.linalg.norm(room[1] - room[0]))
         arrow = LONGEST * size / max(*largest, 1e-300)
         around = box_of(np.concatenate([room, at + arrow * force]))
@@ -146,9 +145,8 @@ def sheet(solution: CurtainSolution, scale: Scale) -> PolyData:
     """The deformed curtain with the largest principal line load at its corners."""
     mesh = solution.problem.mesh.mesh
     cells, values = counterclockwise(mesh.p.T, mesh.t.T), solution.principal()[0][:, 0]
-    each = np.repeat(values[:, None], cells.shape[1], axis=1)
-    shown = space.surface(padded(corner_positions(solution)), cells)
-    shown[scale.label] = mean_at_corners(cells, each, solution.problem.disc.cell_area)
+    shown = space.surface(padded(solution.corners), cells)
+    shown[scale.label] = mean_at_corners(cells, values, solution.problem.disc.cell_area)
     return shown
 
 
@@ -186,7 +184,7 @@ def obstacle_mesh(placed: PlacedObstacle, frame: PictureFrame, ground: float) ->
 def _add_supports(plotter: Plotter, solution: CurtainSolution, size: float) -> None:
     """Held edges and tracks as lines, held points, hooks and runners as balls."""
     problem = solution.problem
-    mesh, corners, x = problem.mesh.mesh, padded(corner_positions(solution)), padded(solution.x)
+    mesh, corners, x = problem.mesh.mesh, padded(solution.corners), padded(solution.x)
     edges, held_at = [np.zeros((0, 2, 3))], dict[str, list[Array]]()
     for item, held in zip(problem.scene.support, problem.supports.held, strict=True):
         if held.track is not None:

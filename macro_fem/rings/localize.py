@@ -225,6 +225,5 @@ def _normals(curtain: Curtain) -> Array:
     corners = curtain.x[curtain.triangles]
     own = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     own *= np.sign(signed_areas(curtain.X[curtain.triangles]))[:, None]
-    each = np.repeat(own[:, None], 3, axis=1)
-    around = mean_at_corners(curtain.triangles, each)[curtain.triangles].mean(axis=1)
+    around = mean_at_corners(curtain.triangles, own)[curtain.triangles].mean(axis=1)
     return np.asarray(around / np.maximum(np.linalg.norm(around, axis=1, keepdims=True), 1e-300))

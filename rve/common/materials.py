@@ -120,7 +120,5 @@ def material_of(given: Mapping[str, Any], where: str = "", prefix: str = "", bas
 
 def described(table: Any, where: str) -> tuple[tuple[str, Any], ...]:
     """Keys and values of a table that describes a material for `material_of`; InputError for what it does not know."""
-    if not isinstance(table, dict):
-        raise InputError(f"{where} is not a table of names and values")
     material_of(table, where, base=replace(STEEL, yield_N_per_mm2=None, ultimate_N_per_mm2=None))
     return tuple(table.items())

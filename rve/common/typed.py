@@ -84,8 +84,6 @@ def typed(value: Any, kind: Any, key: str) -> Any:
 
 def read_typed(cls: type[Record], table: Any, where: str) -> Record:
     """The record of a parsed table; InputError, which begins with `where`, for keys and values that do not fit."""
-    if not isinstance(table, dict):
-        raise InputError(f"{where} is not a table of names and values")
     known = [item for item in fields(cls) if item.init]  # type: ignore[arg-type]
     refuse_unknown(table, [item.name for item in known], where)
     for item in known:
@@ -113,7 +111,9 @@ def read_entry(table: Mapping[str, Any], key: str, kind: Any, where: str = "") -
 
 
 def refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str, what: str = "key") -> None:
-    """InputError for the first key of a table that is not known, with the key that was probably meant."""
+    """InputError for what is no table, and for its first key that is not known, with the one probably meant."""
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where} is not a table of names and values")
     known = list(known)
     for key, value in table.items():
         if key not in known:

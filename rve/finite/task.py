@@ -23,7 +23,7 @@ SENTENCES = {
     "converged": "a local minimum of the potential: forces balance, gaps and links are within tolerance",
     "out-of-reach": "held rings or walls did not reach their places: the mesh locks before; move them closer together",
     "stalled": "no step lowers the residual further; start from another disturbance, or allow a larger residual",
-    "iterations": "the limit of iterations was reached before the residual; allow more iterations",
+    "iterations": "the limit of iterations was reached: allow more, and hold what slides on a floor without friction",
 }
 
 

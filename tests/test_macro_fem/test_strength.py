@@ -9,13 +9,13 @@ import pytest
 from homogenize import default_law, fit, ring_net, with_material
 from macro_fem.curtain import solve_scene
 from macro_fem.job import solve
-from macro_fem.output.files import summarize, write_vtu
+from macro_fem.output.files import curtain_mesh, summarize
 from macro_fem.output.strength import critical_load, summary, utilisation
 from macro_fem.output.weakest import holds_line
 from macro_fem.scene.scene import read_scene
 from rve import Cell, named_material, pulled_ring, solve_table, with_rings
 from rve.common.errors import InputError
-from rve.common.meshes import read_mesh_file
+from rve.common.meshes import read_mesh_file, write_mesh_file
 from rve.table import read_table
 from tests.test_macro_fem.sheets import sheet
 
@@ -195,7 +195,7 @@ def test_the_largest_average_is_that_of_all_corners_of_the_mesh():
 
 
 def test_the_vtu_has_the_utilisation_of_every_cell(strip, tmp_path):
-    write_vtu(tmp_path / "curtain.vtu", strip)
+    write_mesh_file(tmp_path / "curtain.vtu", curtain_mesh(strip))
     field = read_mesh_file(tmp_path / "curtain.vtu").cell_data["utilisation"][0]
     np.testing.assert_allclose(field, utilisation(strip), rtol=1e-12)
     assert field.max() == pytest.approx(summary(strip)["utilisation_pointwise_max"], rel=1e-12)
@@ -212,7 +212,7 @@ def test_laws_that_do_not_know_say_so(tmp_path):
         assert told["utilisation_max"] is told["safety_factor"] is told["collapse_factor"] is None
         assert words in told["strength_note"]
         assert holds_line(told).startswith("strength of the rings not known: ")
-    write_vtu(tmp_path / "curtain.vtu", hung(replace(default_law(), strength=None)))
+    write_mesh_file(tmp_path / "curtain.vtu", curtain_mesh(hung(replace(default_law(), strength=None))))
     assert "utilisation" not in read_mesh_file(tmp_path / "curtain.vtu").cell_data
 
 
