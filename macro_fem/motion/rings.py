@@ -61,7 +61,7 @@ class MovingRings(Mover[RingFrame, RingScene]):
     def __init__(self, scene: Scene, who: EveryRing | None = None) -> None:
         super().__init__(scene)
         self.who = who or EveryRing()
-        self.first = ring_scene(scene_at(scene, 0.0), self.who.rings)
+        self.first = ring_scene(scene_at(scene, 0.0), self.who.rings, at_rest=self.motion.start == "hung")
         self.what, self.size = f"{len(self.first.mesh.X)} rings", float(np.hypot(*np.ptp(self.first.mesh.X, axis=0)))
         g = np.array(self.first.scene.load.acceleration)
         weighed = ((ball, tuple((ball.mass * g).tolist())) for ball in self.balls)

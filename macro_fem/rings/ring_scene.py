@@ -106,8 +106,8 @@ def in_material(scene: Scene, cell: Cell) -> Cell:
     return replace(cell, material=metal, density=metal.density_kg_per_mm3)
 
 
-def ring_scene(scene: Scene, rings: Cell | MembraneLaw | None = None) -> RingScene:
-    """The rings of a scene, see `EveryRing`; InputError for what a mesh of rings cannot be or hold.
+def ring_scene(scene: Scene, rings: Cell | MembraneLaw | None = None, *, at_rest: bool = True) -> RingScene:
+    """The rings of a scene, see `EveryRing`; InputError for what they cannot be or hold, and what falls if `at_rest`.
 
     >>> from macro_fem import Rectangle, Top
     >>> scene = Scene(Rectangle(22.0, 12.646069623526), [Top()])
@@ -131,7 +131,8 @@ def ring_scene(scene: Scene, rings: Cell | MembraneLaw | None = None) -> RingSce
     if round_:
         raise InputError(f"{scene.source}: [obstacle] {round_[0]}: rings stay out of floors and walls, of nothing else")
     check_sizes(scene, info.r1_mm)
-    return with_loads(scene, info, _finite_mesh(_in_whole_cells(scene, info)[0], info))
+    mesh = _finite_mesh(_in_whole_cells(scene, info)[0], info)
+    return with_loads(scene, info, mesh, None if at_rest else frozenset())
 
 
 def _in_whole_cells(scene: Scene, info: CellInfo) -> tuple[Scene, tuple[str, ...]]:

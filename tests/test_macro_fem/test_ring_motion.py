@@ -45,8 +45,9 @@ def moved(tables, *, space=True):
     return found, dict(zip(COLUMNS, rows.T, strict=True))
 
 
-def test_a_sheet_without_supports_falls_freely():
-    found, told = moved(FREE | {"motion": {"duration": 0.06, "step": 0.01, "start": "reference"}})
+@pytest.mark.parametrize("support", [FREE["support"], []])
+def test_a_sheet_without_supports_falls_freely(support):
+    found, told = moved({"support": support, "motion": {"duration": 0.06, "step": 0.01, "start": "reference"}})
     t, fallen = told["t_s"][-1], told["mean_y_mm"][0] - told["mean_y_mm"][-1]
     start = 0.75 * (1.0 - 3.0**-6) * 0.01**2 * G  # what Euler's first step goes too far
     assert fallen - start == pytest.approx(0.5 * G * t * t, rel=1e-8)
