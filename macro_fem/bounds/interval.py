@@ -97,9 +97,7 @@ def loads_of(weight: Array, S: Array, inner: MembraneLaw, outer: MembraneLaw) ->
     return Loads(direction, weight[there] * size[there], width)
 
 
-def bound(
-    solution: CurtainSolution, outer: MembraneLaw | None = None, path: PathOptions = PATH_OF_BOUNDS
-) -> CurtainBounds:
+def bound(solution: CurtainSolution, outer: MembraneLaw | None = None) -> CurtainBounds:
     """Bounds of the potential around an admissible solution in P1, or in P2 with the law at the corners of triangles.
 
     `outer`: a law, in the frame of the weave, that contains the solution's; the lower bound is then for it. InputError
@@ -110,9 +108,9 @@ def bound(
     gradients = solution.F if solution.problem.disc.n_quad == 3 else np.tile(solution.F, (3, 1, 1))
     solution = linear_part(solution, outer)
     problem = solution.problem
-    dual, result = _solve(solution, path, INWARD)
+    dual, result = _solve(solution, INWARD)
     if result.stop == "infeasible":
-        dual, result = _solve(solution, path, 1.0)
+        dual, result = _solve(solution, 1.0)
     held = dual.fem.positions(np.zeros(dual.fem.n))
     value = result.dual - float((dual.force * held).sum())
     tether_cost, moment = _tether_cost(dual, problem.law, result, held)
@@ -132,13 +130,13 @@ def bound(
     )
 
 
-def _solve(solution: CurtainSolution, path: PathOptions, inward: float) -> tuple[DualProblem, PathResult]:
+def _solve(solution: CurtainSolution, inward: float) -> tuple[DualProblem, PathResult]:
     """The hybrid problem of a P1 solution and its answer, edges around points held where the P1 curtain is, drawn
     `inward`. The P1 part of a P2 curtain may leave the law by more than that where points are close.
     """
     problem, x = solution.problem, at_dual_nodes(slackened(solution, inward), solution.problem.mesh)
     dual = dual_problem(solution, x)
-    path = replace(path, max_iterations=problem.scene.solver.max_iterations, cones=solution.cones)
+    path = replace(PATH_OF_BOUNDS, max_iterations=problem.scene.solver.max_iterations, cones=solution.cones)
     load, start, terms = dual.fem.gather(dual.force), dual.fem.unknowns(x), Terms(walls=dual.walls)
     return dual, solve_path(dual.fem, problem.law, load, start, problem.mesh.size, path, terms)
 

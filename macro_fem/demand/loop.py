@@ -38,6 +38,8 @@ FIRST_GAP, FALL = 0.01, 0.6
 QUESTIONS, LOOKS, LOST = 8, 6, 4
 """Ring problems between two looks at the law; looks within one turn; how often directions are asked because no curtain
 hangs on the inner law yet."""
+MOST_CELLS, MOST_SOLVES, MOST_TURNS = 30_000, 3_000, 60
+"""Triangles, ring problems and turns at which a run gives up."""
 SENTENCES = {
     "converged": "the interval of rings and continuous curtain is as narrow as asked",
     "mesh_limit": "the mesh would need more than {cells} triangles; ask for less accuracy, or start with fewer cells",
@@ -51,15 +53,6 @@ SENTENCES = {
     "curtain_limit": "the curtain of the next turn was not solved, and the interval is that of the turn before: {why}",
 }
 """What each status says; only the first means that the accuracy was reached."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Triangles, ring problems and turns at which a run gives up."""
-
-    cells: int = 30_000
-    solves: int = 3_000
-    turns: int = 60
 
 
 @dataclass(frozen=True)
@@ -114,7 +107,6 @@ def solve_on_demand(
     *,
     known: LawInterval | None = None,
     cache: Cache = NO_CACHE,
-    limits: Limits = Limits(),
 ) -> Demand:
     """The curtain of a scene of these rings at its full load, its interval narrowed to `accuracy`, see `OnDemand`.
 
@@ -127,7 +119,7 @@ def solve_on_demand(
     last: CurtainSolution | None = None
     level: Level | None = None
     share, ended = FIRST_GAP, ("turn_limit", SENTENCES["turn_limit"])
-    while len(turns) < limits.turns:
+    while len(turns) < MOST_TURNS:
         with part_of(_line(mesh, rings, level), 0.0, 1.0):
             solution, law = _hang(scene, rings, mesh, law, last, LOST if level is None else 0)
         if solution.status != "converged":
@@ -139,7 +131,7 @@ def solve_on_demand(
         scale = _scale(solution)
         allowed = LAW_SHARE * max(accuracy, share) * scale
         before, inner = len(rings.x), law.inner
-        law = _narrow(rings, law, solution, allowed, limits.solves)
+        law = _narrow(rings, law, solution, allowed)
         part = _loads(solution, law, inner).law_part
         is_known = part <= AGAIN * allowed or len(rings.x) == before
         if is_known:
@@ -152,9 +144,9 @@ def solve_on_demand(
         if not is_known:
             continue
         level = new if level is None or new.bounds.status == "converged" else level
-        status = _find_end(new, turns, accuracy, limits.cells)
+        status = _find_end(new, turns, accuracy)
         if status is not None:
-            why: dict[str, Any] = {"cells": limits.cells, "solves": limits.solves, "failed": rings.failed}
+            why: dict[str, Any] = {"cells": MOST_CELLS, "solves": MOST_SOLVES, "failed": rings.failed}
             why |= {"law": float(new.bounds.law_part or 0.0) / scale, "bound": new.bounds.status, "raised": law.raised}
             # then some h are not the largest work
             status = "contradiction" if status == "converged" and law.raised > GAIN else status
@@ -194,13 +186,10 @@ def _hang(
         law = rings.learn(np.vstack([x, between(np.vstack([rings.x, x]), QUESTIONS, rings.is_mirrored)]))
 
 
-def _narrow(rings: Rings, law: LawInterval, solution: CurtainSolution, allowed: float, most: int) -> LawInterval:
-    """The law after the rings were asked at the solution's stresses until its part, N mm, is what is allowed.
-
-    No more than `most` ring problems are solved in the whole run.
-    """
+def _narrow(rings: Rings, law: LawInterval, solution: CurtainSolution, allowed: float) -> LawInterval:
+    """The law after the rings were asked at the solution's stresses until its part, N mm, is what is allowed."""
     for _ in range(LOOKS):
-        loads, left = _loads(solution, law, law.inner), most - rings.solves
+        loads, left = _loads(solution, law, law.inner), MOST_SOLVES - rings.solves
         if loads.law_part <= allowed or left <= 0:
             break
         x = widest(disc(loads.S), loads.weight * loads.width, rings.x, min(QUESTIONS, left), rings.is_mirrored)
@@ -216,7 +205,7 @@ def _loads(solution: CurtainSolution, law: LawInterval, inner: MembraneLaw) -> L
     return loads_of(problem.disc.weight, problem.law.in_weave(solution.S), inner, law.outer)
 
 
-def _find_end(level: Level, turns: Sequence[Turn], accuracy: float, most_cells: int) -> str | None:
+def _find_end(level: Level, turns: Sequence[Turn], accuracy: float) -> str | None:
     """The status if this was the last turn."""
     bounds, target = level.bounds, accuracy * _scale(level.solution)
     if bounds.status != "converged":
@@ -226,7 +215,7 @@ def _find_end(level: Level, turns: Sequence[Turn], accuracy: float, most_cells: 
     is_idle = len(turns) > 1 and turns[-1].rows == turns[-2].rows
     if is_idle and float(bounds.law_part or 0.0) > 0.5 * max(bounds.gap, target):
         return "law_limit"
-    return "mesh_limit" if turns[-1].cells + 3 * len(mark(bounds.error)) > most_cells else None
+    return "mesh_limit" if turns[-1].cells + 3 * len(mark(bounds.error)) > MOST_CELLS else None
 
 
 def _line(mesh: CurtainMesh, rings: Rings, level: Level | None) -> str:

@@ -105,7 +105,8 @@ class Discretization:
     @cached_property
     def points(self) -> Array:
         """Positions of the points in the reference state, (n_points, 2), mm."""
-        return self.interpolate(self.nodes)
+        local = self.nodes.T[:, self.cell_dofs.T]
+        return np.asarray(np.matmul(self.shape_values, local).reshape(2, -1).T)
 
     @cached_property
     def cell_area(self) -> Array:
@@ -151,11 +152,6 @@ class Discretization:
         first = np.sort(np.unique(key, axis=0, return_index=True)[1])
         node, share = node[first][:, ::-1], share[first][:, ::-1]
         return Points(np.maximum(node, 0), share)
-
-    def interpolate(self, v: Array) -> Array:
-        """The nodal field v (n_nodes, d) at the points, (n_points, d)."""
-        local = v.T[:, self.cell_dofs.T]
-        return np.asarray(np.matmul(self.shape_values, local).reshape(v.shape[1], -1).T)
 
     def cell_mean(self, values: Array) -> Array:
         """The area mean in each cell (n_cells, ...) of values at the points (n_points, ...)."""

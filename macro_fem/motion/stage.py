@@ -56,7 +56,7 @@ def mesh_masses(problem: CurtainProblem) -> Array:
 
 def masses_of(problem: CurtainProblem, balls: tuple[Ball, ...] = ()) -> Array:
     """Masses (n,) of nodes, with the bars in edges, and of bodies, N s2/mm; InputError for P2."""
-    own = mesh_masses(problem) + TONNE * bar_masses(problem.scene, problem.mesh, problem.disc)
+    own = mesh_masses(problem) + TONNE * bar_masses(problem.scene, problem.mesh, problem.disc, turning=True)
     return np.append(own, [TONNE * ball.mass for ball in balls])
 
 

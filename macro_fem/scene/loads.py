@@ -24,7 +24,7 @@ from macro_fem.fem.discretization import ELEMENTS, Discretization
 from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.sites import point_node
+from macro_fem.scene.sites import edge_nodes, point_node
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
 from rve import cell_of_sides
 from rve import solidity as solidity_of
@@ -86,12 +86,21 @@ def nodal_forces(
     return dead + factor * live
 
 
-def bar_masses(scene: Scene, mesh: CurtainMesh, disc: Discretization) -> Array:
-    """Masses (n_nodes,) of all bars at the nodes of their edges, kg."""
+def bar_masses(scene: Scene, mesh: CurtainMesh, disc: Discretization, *, turning: bool = False) -> Array:
+    """Masses (n_nodes,) of all bars at the nodes of their edges, kg; turning: with the second moment of an even bar,
+    m length^2 / 12, about the middle of straight ones with three nodes or more."""
     mass = np.zeros(disc.n_nodes)
     for bar in scene.of(Bar):
-        shares = edge_shares(mesh, disc, bar.edge, f"{scene.source}: [load.bar] edge")
-        mass += bar.mass * shares / shares.sum()
+        where = f"{scene.source}: [load.bar] edge"
+        shares, nodes = edge_shares(mesh, disc, bar.edge, where), edge_nodes(mesh, disc, bar.edge, where)
+        own = shares[nodes] / shares.sum()
+        if turning and bar.straight and len(nodes) > 2:
+            along = np.linalg.norm(disc.nodes[nodes] - disc.nodes[nodes[0]], axis=1)
+            s = along / along[-1] - 0.5
+            powers = np.stack([np.ones_like(s), s, s * s])
+            even = own * (1.0 + np.linalg.solve(own * powers @ powers.T, [0.0, 0.0, 1.0 / 12.0 - own @ s**2]) @ powers)
+            own = even if even.min() > 0.0 else own  # as of nodes that are uneven
+        mass[nodes] += bar.mass * own
     return mass
 
 

@@ -102,12 +102,13 @@ def test_refinement_in_space_closes_the_interval(ring_like, scene_tables):
     assert widths[1] < 0.8 * widths[0]
 
 
-def test_edges_on_sloping_cables_have_the_bounds_of_upright_ones(ring_like, scene_tables):
+def test_edges_on_sloping_cables_have_the_bounds_of_upright_ones(ring_like, scene_tables, monkeypatch):
     """The sides slide on two cables; with everything turned in space the cables become columns of T."""
+    monkeypatch.setattr("macro_fem.bounds.interval.PATH_OF_BOUNDS", PathOptions(1e-7, 1e-5, drawn=False))
     works, widths = [], []
     for turn in (np.eye(3), Rotation.from_euler("zxy", [20.0, 30.0, 40.0], degrees=True).as_matrix()):
         solution = solve_scene(read_scene(between_cables(scene_tables, turn)), ring_like)
-        bounds = bound(solution, path=PathOptions(1e-7, 1e-5, drawn=False))
+        bounds = bound(solution)
         force, balance = solution.problem.force, solution.reactions.sum(axis=0) + solution.problem.force.sum(axis=0)
         scale = float(np.linalg.norm(force, axis=1).sum()) * 100.0
         assert (solution.problem.fem.tie is None) == (turn[0, 0] == 1.0)

@@ -17,7 +17,7 @@ from macro_fem.bounds.interval import admissible_problem, bound, levels, loads_o
 from macro_fem.curtain import solve_problem
 from macro_fem.demand import rings as rings_module
 from macro_fem.demand.directions import first_directions, widest
-from macro_fem.demand.loop import Limits, solve_on_demand
+from macro_fem.demand.loop import solve_on_demand
 from macro_fem.demand.options import OnDemand
 from macro_fem.demand.ring_strength import strength_of_rows, with_strength
 from macro_fem.demand.rings import Rings, contradictions, question
@@ -210,16 +210,20 @@ def test_rows_that_keep_contradicting_each_other_are_no_converged_answer(known_r
 
 
 @pytest.mark.slow
-def test_limits_are_named(known_rings):
-    mesh = solve_on_demand(square(), Cell(), 1e-3, limits=Limits(cells=100))
-    assert mesh.status == "mesh_limit"
-    assert "100 triangles" in mesh.message
-    law = solve_on_demand(square(), Cell(), 1e-3, limits=Limits(solves=12, cells=100))
-    assert law.status in ("law_limit", "mesh_limit")
-    assert law.rings.solves == 12
-    turns = solve_on_demand(square(), Cell(), 1e-3, limits=Limits(turns=2))
+def test_limits_are_named(known_rings, monkeypatch):
+    with monkeypatch.context() as few:
+        few.setattr("macro_fem.demand.loop.MOST_TURNS", 2)
+        turns = solve_on_demand(square(), Cell(), 1e-3)
     assert turns.status == "turn_limit"
     assert len(turns.turns) == 2
+    monkeypatch.setattr("macro_fem.demand.loop.MOST_CELLS", 100)
+    mesh = solve_on_demand(square(), Cell(), 1e-3)
+    assert mesh.status == "mesh_limit"
+    assert "100 triangles" in mesh.message
+    monkeypatch.setattr("macro_fem.demand.loop.MOST_SOLVES", 12)
+    law = solve_on_demand(square(), Cell(), 1e-3)
+    assert law.status in ("law_limit", "mesh_limit")
+    assert law.rings.solves == 12
 
 
 def test_supports_that_no_state_reaches_are_refused_after_the_rings_were_asked_more_widely(known_rings):

@@ -19,7 +19,7 @@ from macro_fem.motion.curtain import MovingCurtain
 from macro_fem.motion.files import account_error
 from macro_fem.motion.modes import find_modes
 from macro_fem.motion.pace import COLUMNS
-from macro_fem.motion.stage import masses_of, scene_at
+from macro_fem.motion.stage import masses_of, mesh_masses, scene_at
 from macro_fem.motion.step import Moment, kinetic_energy
 from macro_fem.output.forces import winds
 from macro_fem.rings.ring_scene import ring_scene
@@ -234,6 +234,13 @@ def test_another_scene_does_not_go_on(tmp_path):
     for out, says in (("out", "another scene or law"), ("none", "there is no run")):
         with pytest.raises(InputError, match=says):
             files.run_motion(scene, None, tmp_path / out, picture=False, goes_on=True)
+
+
+def test_a_straight_bar_turns_with_the_inertia_of_a_rod():
+    tables = SHEET | {"support": TOP, "load": {"bar": {"mass": 3.0}}, "motion": {"duration": 1.0}}
+    problem = MovingCurtain(read_scene(tables), default_law()).at(0.0)[0]
+    s, of_bar = problem.disc.nodes[:, 0] / 400.0 - 0.5, 1e3 * (masses_of(problem) - mesh_masses(problem))
+    assert [of_bar.sum(), of_bar @ s, of_bar @ s**2] == pytest.approx([3.0, 0.0, 0.25], abs=1e-9)
 
 
 def test_modes_prints_one_object_with_ascending_frequencies(tmp_path):
