@@ -36,7 +36,7 @@ def curtain_lines(summary: dict[str, Any], out: Path, *, explain: bool) -> Itera
         yield holds_line(summary)
         yield from filter(None, [summary["support_forces_note"]])
     yield from combination_lines(summary)
-    if "ring_solves" in summary:
+    if "interval" in summary:
         yield interval_line(summary)
     if explain:
         yield from feature_lines(summary["features"])
@@ -162,11 +162,13 @@ def verdict(summary: dict[str, Any]) -> tuple[str, bool]:
 def interval_line(summary: dict[str, Any]) -> str:
     """Interval of the answer, its parts, and what the rings were asked."""
     what, unit = ("mean_height", "mm") if "mean_height_interval_mm" in summary else ("potential", "N_mm")
-    low, high = summary[f"{what}_interval_{unit}"]
-    law, mesh = (digits(summary[f"{part}_part_{unit}"]) for part in ("law", "mesh"))
-    name, shown = what.replace("_", " "), unit.replace("_", " ")
-    asked = f"{summary['ring_solves']} ring problems solved, {summary['cache_hits']} read from the cache"
-    return f"{name} of the rings in [{low:.6g}, {high:.6g}] {shown}: law {law}, mesh {mesh} {shown}; {asked}"
+    (low, high), law = summary[f"{what}_interval_{unit}"], summary[f"law_part_{unit}"]
+    of, part = ("law", "") if law is None else ("rings", f"law {digits(law)}, ")
+    name, shown, mesh = what.replace("_", " "), unit.replace("_", " "), digits(summary[f"mesh_part_{unit}"])
+    text = f"{name} of the {of} in [{low:.6g}, {high:.6g}] {shown}: {part}mesh {mesh} {shown}"
+    if "ring_solves" not in summary:
+        return text
+    return f"{text}; {summary['ring_solves']} ring problems solved, {summary['cache_hits']} read from the cache"
 
 
 def side_by_side(summary: dict[str, Any]) -> list[str]:

@@ -65,27 +65,26 @@ def corner_forces(states: LockedStates) -> tuple[Array, Array]:
     return swapped(at, states.cell), swapped(0.5 * np.array([-f1 - f2, f1 - f2, f2 - f1, f1 + f2]), states.cell)
 
 
-def locked_row(table: StrainTable, row: int = 0) -> LockedStates:
-    """The locked state of a row of a table that was solved here.
+def locked_row(table: StrainTable) -> LockedStates:
+    """The locked state of the first row of a table that was solved here.
 
     Raises NotConverged for a row that has not converged, InputError for a table without `states`.
     """
-    status = str(table.status[row])
+    status = str(table.status[0])
     if status != "converged":
         raise NotConverged(f"{status}: {SENTENCES[status]}")
     if table.states is None:
         raise InputError("a table read from a file has no locked states to draw; solve it again with solve_table")
-    return table.states.take(np.array([row]))
+    return table.states.take(np.array([0]))
 
 
-def draw_case(table: StrainTable, row: int = 0, ax: Axes | None = None) -> Axes:
-    """The locked cell of a row of a table that was solved here, on `ax` or axes of their own, which it returns.
+def draw_case(table: StrainTable) -> Axes:
+    """The locked cell of `locked_row` on axes of their own.
 
     Rings are seen along z, contact points with the forces between rings (blue) and those on the corner rings
-    (vermilion). Raises NotConverged for a row that has not converged, InputError for a table without `states`.
+    (vermilion).
     """
-    states = locked_row(table, row)
-    ax = new_axes(6.8, 7.6) if ax is None else ax
+    states, ax = locked_row(table), new_axes(6.8, 7.6)
     cell, r1 = states.cell, states.cell.r1
     for k in range(cell.weave.classes):
         x, y, _ = drawn_rings(states, k).closed_circles(96).T
@@ -107,7 +106,7 @@ def draw_case(table: StrainTable, row: int = 0, ax: Axes | None = None) -> Axes:
     ax.margins(0.12)
     ax.set(aspect="equal", xlabel="x, mm", ylabel="y, mm")
     note = "" if states.unique[0] else " (strain not unique: limit shown)"
-    title = f"locked cell, alpha = {table.alpha_deg[row]:g} deg, beta = {table.beta_deg[row]:g} deg{note}"
+    title = f"locked cell, alpha = {table.alpha_deg[0]:g} deg, beta = {table.beta_deg[0]:g} deg{note}"
     ax.set_title(f"{title}\nr1 = {r1:g} mm, r2 = {cell.r2:g} mm", fontsize=12)
     below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "ncols": 2, "frameon": False}
     ax.legend(fontsize=10, title="forces in N at a line load of 1 N/mm", title_fontsize=10, **below)

@@ -75,7 +75,8 @@ def write_pictures(folder: Path, steps: Sequence[CurtainSolution], wanted: Pictu
     elif wanted.picture:
         save_figure(picture, panels(last))
     if wanted.animation:
-        shares = [f"{100.0 * step.problem.factor:.0f} % of live loads and moves\n{title(step)}" for step in steps]
+        shares = [f"{100.0 * step.problem.factor:.0f} % of live loads and moves, {title(step)}" for step in steps]
+        shares = [words.replace(" N, ", " N\n") for words in shares]
         space.save_animation(folder / f"{wanted.stem}.gif", figures(list(zip(shares, steps, strict=True))))
 
 

@@ -214,8 +214,7 @@ def test_limits_are_named(known_rings, monkeypatch):
     with monkeypatch.context() as few:
         few.setattr("macro_fem.demand.loop.MOST_TURNS", 2)
         turns = solve_on_demand(square(), Cell(), 1e-3)
-    assert turns.status == "turn_limit"
-    assert len(turns.turns) == 2
+    assert (turns.status, len(turns.turns)) == ("turn_limit", 2)
     monkeypatch.setattr("macro_fem.demand.loop.MOST_CELLS", 100)
     mesh = solve_on_demand(square(), Cell(), 1e-3)
     assert mesh.status == "mesh_limit"

@@ -168,7 +168,7 @@ def compose(plotter: Plotter, title: str) -> Figure:
     plotter.render()  # a screenshot alone shows what was last rendered
     ax.imshow(np.asarray(plotter.screenshot(return_img=True)), interpolation="antialiased")
     ax.set_axis_off()
-    figure.suptitle(title, fontsize=15 if panels > 1 else 12)
+    figure.suptitle(title, fontsize=15 if panels > 1 else 12, wrap=True)
     shown = {name: part for panel in range(panels) for name, part in parts(plotter, panel).items()}
     scales = {scale for *_, scale in shown.values() if scale is not None}
     for scale in scales:
