@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from homogenize import CellInfo, MembraneLaw, cell_of, default_law, with_material
@@ -27,7 +28,7 @@ from macro_fem.scene.supports import build_supports, pin_sliding, told
 from macro_fem.scene.tables import Bar, Wind, in_3d
 from macro_fem.solution import CurtainSolution
 from rve import Cell, FiniteMesh, FiniteOptions, FiniteSolution, HalfSpace, cell_of_sides, solve_table
-from rve.common import Array, InputError
+from rve.common import Array, Index, InputError
 from rve.common.materials import material_of
 
 SLIDES = 1e-6
@@ -38,6 +39,8 @@ WHOLE, NEARLY_WHOLE = 1e-7, 0.02
 """A side of a rectangle within these parts of a cell of whole cells is left as it is, or made whole with a note."""
 
 
+EQUALLY_FAR = 1e-6
+"""Part of r1 by which distances of rings from a node may differ that count as one."""
 OF_DISK = ("kind", "tolerance", "max_iterations", "bounds", "adapt")
 """Keys of [solver] that rings do not read."""
 
@@ -175,6 +178,15 @@ def _finite_mesh(scene: Scene, info: CellInfo) -> FiniteMesh:
         raise InputError(f"{source}: [curtain]: {error}") from error
 
 
+def _nearest_rings(mesh: FiniteMesh, nodes: Array) -> tuple[Index, csr_matrix]:
+    """The ring nearest to each node, (k,), and what nodes hand over to rings, (n, k): the two nearest share alike where
+    they are equally far, so that symmetric scenes have symmetric rings."""
+    distance, ring = cKDTree(mesh.X).query(nodes, k=2)
+    other = 0.5 * (distance[:, 1] - distance[:, 0] < EQUALLY_FAR * mesh.cell.r1)
+    shares, node = np.column_stack([1.0 - other, other]), np.repeat(np.arange(len(nodes)), 2)
+    return ring[:, 0], csr_matrix((shares.ravel(), (ring.ravel(), node)), shape=(len(mesh.X), len(nodes)))
+
+
 def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozenset[int] | None = None) -> RingScene:
     """The rings of a mesh under the loads and supports of a scene; released: as of `make_problem`."""
     scene, notes = _in_whole_cells(scene, info)
@@ -193,31 +205,23 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
         raise InputError(f"{scene.source}: [support] sliding = true: rings slide along x, y or z, on no sloping line")
     if released is None:
         supports = pin_sliding(supports, disc, everything, scene.source)
-    ring, n = cKDTree(mesh.X).query(disc.nodes)[1], len(mesh.X)
-    force = np.zeros((n, 3))
-    force[:, : scene.d] = mesh.area[:, None] * weight
-    np.add.at(force[:, : scene.d], ring, everything - load_vector(disc, weight))
-    winds = []
-    for wind in (one for one in scene.of(Wind) if one.speed is not None):
-        blown = np.zeros((n, 3))
-        np.add.at(blown, ring, load_vector(disc, wind_per_area(breeze(wind), scene, info)))
-        winds.append((wind, blown))
+    ring, onto = _nearest_rings(mesh, disc.nodes)
+    force = padded(mesh.area[:, None] * weight + onto @ (everything - load_vector(disc, weight)))
+    blown = (one for one in scene.of(Wind) if one.speed is not None)
+    winds = ((one, onto @ load_vector(disc, wind_per_area(breeze(one), scene, info))) for one in blown)
 
     def on_rings(mask: np.ndarray) -> np.ndarray:
         """The components (n, 3) of rings that are held with those (n_nodes, d) of nodes."""
-        held = np.zeros((n, 3), bool)
-        node, axis = np.nonzero(mask)
-        held[ring[node], axis] = True
+        held = padded(onto @ mask.astype(float)) > 0.0
         if not scene.in_space:
             held[:, 2] = held[:, 0] | held[:, 1]
         return held
 
-    held, at, (node, axis) = on_rings(supports.fixed), padded(mesh.X), np.nonzero(supports.fixed)
-    way = supports.positions - in_space_of(disc.nodes, scene.d)
-    at[ring[node], axis] = padded(mesh.X)[ring[node], axis] + way[node, axis]
+    held, shares = on_rings(supports.fixed), padded(onto @ supports.fixed.astype(float))
+    way = np.where(supports.fixed, supports.positions - in_space_of(disc.nodes, scene.d), 0.0)
+    at = padded(mesh.X) + padded(onto @ way) / np.where(shares > 0.0, shares, 1.0)
     bars = []
-    mass = areal_mass(scene, info)[0] * PER_MM2 * mesh.area
-    np.add.at(mass, ring, bar_masses(scene, fem, disc, turning=True))
+    mass = areal_mass(scene, info)[0] * PER_MM2 * mesh.area + onto @ bar_masses(scene, fem, disc, turning=True)
     for bar in (one for one in scene.of(Bar) if one.straight):
         line = ring[edge_nodes(fem, disc, bar.edge, f"{scene.source}: [load.bar] edge")]
         bars.append(line[np.sort(np.unique(line, return_index=True)[1])])

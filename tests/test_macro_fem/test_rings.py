@@ -30,10 +30,7 @@ def test_corners_hold_the_corner_rings_and_the_weight_is_that_of_the_area():
     rings = ring_scene(scene(support={"kind": "corners", "gather": 0.9}, material={"material": "titanium grade 2"}))
     (name, held), *rest = [(name, held.all(axis=1)) for name, held in rings.groups]
     assert (name, rest) == ("corners", [])
-    assert sorted(map(tuple, rings.mesh.X[held].round(6))) == [
-        (0.0, round(2 * B_Y, 6)),
-        (33.0, round(2 * B_Y, 6)),
-    ]
+    assert sorted(map(tuple, rings.mesh.X[held].round(6))) == [(x, round(2 * B_Y, 6)) for x in (0.0, 33.0)]
     assert sorted(rings.at[held, 0].round(6)) == [round(16.5 - 0.45 * 33, 6), round(16.5 + 0.45 * 33, 6)]
     assert rings.held.sum() == 6
     assert rings.force[:, 1].sum() == pytest.approx(-9.81 * rings.mesh.mass.sum(), rel=1e-9)
@@ -47,8 +44,9 @@ def test_live_loads_and_edges_reach_the_rings():
     }
     rings = ring_scene(scene(load=loads, support=[{"kind": "top"}, {"kind": "edge", "edge": "left", "held": "x"}]))
     assert rings.force.sum(axis=0) == pytest.approx([0.3, -0.2 - 0.33, 0.0])
-    bottom = np.isclose(rings.mesh.X[:, 1], 0.0)
+    bottom, middle = (np.isclose(rings.mesh.X[:, 1], y) for y in (0.0, B_Y))
     assert rings.force[bottom, 1].sum() == pytest.approx(-0.33)
+    assert rings.force[middle, 0] == pytest.approx([0.0, 0.15, 0.15, 0.0])  # the pull is half-way between two rings
     count = {name: held.sum(axis=0).tolist() for name, held in rings.groups}
     assert count == {"top": [4, 4, 4], "edge left": [3, 0, 3]}
 
