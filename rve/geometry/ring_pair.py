@@ -268,11 +268,14 @@ def _with_twins(found: Minima, pair: Index, angle: Array, reach: float, circles:
     # A symmetric start may sit on the saddle between two twins: stationary, but no minimum.
     soft, stable = found.curvature < _SOFT, found.curvature > -_ROUND_OFF
     twins = twins.take((twins.curvature > -_ROUND_OFF) & (twins.distance <= reach))
-    both = found.take(~soft).join([found.take(soft & stable), twins])
-    both = both.take(np.lexsort((both.distance, both.pair)))
-    first = np.ones(len(both.pair), dtype=bool)
+    both = found.take(~soft | stable).join([twins])
+    order = np.lexsort((both.distance, both.pair))
+    pair, rho_a, first = both.pair[order], both.rho_a[order], np.ones(len(order), dtype=bool)
     # Two soft minima are found three times each and their order by distance is round-off: look back past all of them.
     for back in range(1, 8):
-        apart = both.rho_a[back:] - both.rho_a[:-back]
-        first[back:] &= (both.pair[back:] != both.pair[:-back]) | (dot(apart, apart) >= 1e-4**2)
-    return both.take(first)
+        row = np.flatnonzero(pair[back:] == pair[:-back])
+        if not len(row):
+            break
+        apart = rho_a[row + back] - rho_a[row]
+        first[row + back] &= dot(apart, apart) >= 1e-4**2
+    return both.take(order[first])
