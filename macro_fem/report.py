@@ -97,7 +97,8 @@ def _sections(summary: dict[str, Any], inputs: Iterable[Path]) -> Iterable[tuple
     told = "not known" if stress is None else f"{stress:g} N/mm2"
     material = f"material of the rings: {summary['ring_material'] or 'not known'}, yield stress {told}"
     factors = [f"{one.name}: {digits(one.factor)} times the load" for one in links(summary)]
-    yield "What gives first", [*factors, material], False
+    of = " without partial factors" if "combinations" in summary else ""
+    yield f"What gives first{of}", [*factors, material], False
     if "combinations" in summary:
         yield "Load combinations", combination_lines(summary), False
     points = [
@@ -112,9 +113,8 @@ def _sections(summary: dict[str, Any], inputs: Iterable[Path]) -> Iterable[tuple
     ]
     half, wide = (len(rows) + 1) // 2, max(map(len, rows), default=0) + 3
     columns = [f"{left:<{wide}}{right}".rstrip() for left, right in zip_longest(rows[:half], rows[half:], fillvalue="")]
-    head = "Forces of supports" + (" without partial factors" if "combinations" in summary else "")
-    head += "" if len(shown) == len(points) else f", the {len(shown)} largest of {len(points)}"
-    yield f"{head}: x and y in the flat sheet, mm; size and components, N", columns, True
+    most = "" if len(shown) == len(points) else f", the {len(shown)} largest of {len(points)}"
+    yield f"Forces of supports{of}{most}: x and y in the flat sheet, mm; size and components, N", columns, True
     notes = [summary["support_forces_note"], summary["line_load_warning"]]
     yield "Assumptions and limits", [*LIMITS, *filter(None, notes)], False
     versions = ", ".join(f"{key} {value}" for key, value in summary["versions"].items())
