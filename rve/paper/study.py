@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -196,11 +195,6 @@ def in_space(study: Study, values: Array, names: tuple[str, ...], sheet: Array |
     return fig
 
 
-def locked_cell(alpha_deg: float, beta_deg: float) -> Any:
-    """Figs. 10 to 12: the locked cell under a load."""
-    return draw_case(solve_table(Cell(), ([alpha_deg], [beta_deg]))).figure
-
-
 def strains(study: Study) -> Any:
     """Fig. 13: strain components against beta for each alpha; lines the direct solver, marks the paper's scheme."""
     fig, table = new_figure(12.0, 4.6), study.table
@@ -269,18 +263,20 @@ def progress_of_two(study: Study) -> Any:
     return fig
 
 
+def figures(study: Study) -> Iterator[Any]:
+    """Figs. 9 to 17 in their order, 10 to 12 locked cells; None for one that the study has not."""
+    yield in_space(study, study.rest.s, ("s_xx / s_hat", "s_xy / s_hat", "s_yy / s_hat"))
+    for alpha, beta in ((0.0, 90.0), (0.0, 0.0), (45.0, 0.0)):
+        yield draw_case(solve_table(Cell(), ([alpha], [beta]))).figure
+    yield strains(study)
+    yield in_space(study, study.E, NAMES, study.table.E)
+    yield from (draw(study) for draw in (steps, clock, progress_of_two))
+
+
 def draw_all(study: Study, folder: Path) -> None:
     """Draw Figs. 9 to 17 into a folder."""
-    pictures: list[Callable[[], Any]] = [
-        partial(in_space, study, study.rest.s, ("s_xx / s_hat", "s_xy / s_hat", "s_yy / s_hat")),
-        *(partial(locked_cell, *load) for load in ((0.0, 90.0), (0.0, 0.0), (45.0, 0.0))),
-        partial(strains, study),
-        partial(in_space, study, study.E, NAMES, study.table.E),
-        *(partial(draw, study) for draw in (steps, clock, progress_of_two)),
-    ]
-    for number, draw in enumerate(pictures):
+    for number, fig in enumerate(figures(study)):
         name = f"fig_{number + 9:02d}.png"
-        tell(f"drawing, {name}", number / len(pictures))
-        fig = draw()
+        tell(f"drawing, {name}", number / 9)
         if fig is not None:
             save_figure(folder / name, fig)
