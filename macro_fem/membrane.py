@@ -169,12 +169,13 @@ def order(solution: CurtainSolution, summary: dict[str, Any]) -> dict[str, Any]:
     """
     width, height = solution.problem.scene.curtain.extent(solution.problem.mesh.mesh.p.T).tolist()
     single = [one for one in summary["support_forces"] if "largest_force_per_ring_N" in one]
+    points = {int(node) for one in solution.problem.supports.held if not len(one.facets) for node in one.nodes}
     return {
         "mesh_width_mm": width,
         "mesh_height_mm": height,
         **_rings(float(solution.problem.disc.cell_area.sum()), summary),
         "mass_kg": summary["mass_kg"],
-        "hooks": sum(one["nodes_held"] for one in single),
+        "hooks": len(points),
         "hook_pitch_mm": next((one["pitch_mm"] for one in single if "pitch_mm" in one), None),
         "material": summary["ring_material"],
         "covers_width_mm": float(np.ptp(solution.x[:, 0])),

@@ -44,6 +44,7 @@ def test_the_order_sheet_weighs_what_its_rings_weigh():
     assert [order[key] for key in ("weave", "r1_mm", "r2_mm", "material")] == ["4-in-1", 5.0, 0.5, "steel"]
     assert order["lowest_point_mm"] == answer.summary["lowest_point_mm"]
     assert order["covers_width_mm"] == pytest.approx(330.0, rel=0.02)
+    assert solve(hung(Corners(rings_per_hook=3))).summary["order"]["hooks"] == 4  # two are held twice
     disk = solve(Scene(macro_fem.Disk(60.0), [macro_fem.Top()], mesh=Mesh(cells=6))).summary["order"]
     assert disk["mesh_width_mm"] == disk["mesh_height_mm"] == 120.0  # not those of its polygon
     assert 0.0 in macro_fem.Disk(60.0).corners(6)  # sentences told a place at x = 4e-15
