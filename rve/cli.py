@@ -279,10 +279,8 @@ def table_columns(record: dict[str, Any]) -> dict[str, Any]:
     names = ("weave", "grain", "r1_mm", "r2_mm", "b_x_mm", "b_y_mm", "areal_mass_kg_per_m2")
     rows = record.get("rows", {})
     converged = rows.get("converged", 0)
-    return {name: record.get(name, "") for name in names} | {
-        "rows_converged": converged,
-        "rows_other": sum(rows.values()) - converged,
-    }
+    counts = {"rows_converged": converged, "rows_other": sum(rows.values()) - converged}
+    return {name: record.get(name, "") for name in names} | counts
 
 
 @main.command(epilog="Example: rve study --out study")

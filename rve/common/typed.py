@@ -84,10 +84,9 @@ def typed(value: Any, kind: Any, key: str) -> Any:
 
 def read_typed(cls: type[Record], table: Any, where: str) -> Record:
     """The record of a parsed table; InputError, which begins with `where`, for keys and values that do not fit."""
-    known = [item for item in fields(cls) if item.init]  # type: ignore[arg-type]
-    refuse_unknown(table, [item.name for item in known], where)
-    for item in known:
-        if item.name not in table and item.default is MISSING:
+    refuse_unknown(table, types_of(cls), where)  # type: ignore[arg-type]
+    for item in fields(cls):  # type: ignore[arg-type]
+        if item.init and item.name not in table and item.default is MISSING:
             raise InputError(f"{where} {item.name}: is missing")
     try:
         return cls(**table)
