@@ -64,10 +64,8 @@ Solve = Callable[[CurtainProblem, CurtainSolution | None], CurtainSolution]
 """The solver of a convex problem, from a curtain before."""
 
 
-def solve_shape(
-    problem: CurtainProblem, start: CurtainSolution | None, solve: Solve, most: int = ROUNDS
-) -> CurtainSolution:
-    """The curtain of a problem with bodies or wind on its shape, by `solve` for each of `most` rounds.
+def solve_shape(problem: CurtainProblem, start: CurtainSolution | None, solve: Solve) -> CurtainSolution:
+    """The curtain of a problem with bodies or wind on its shape, by `solve` for each round.
 
     InputError if the curtain is inside a body to begin with. An answer whose rounds have not settled has the status
     "unsettled"; one that is impossible in some round has the status of that round.
@@ -90,14 +88,14 @@ def solve_shape(
     watch = _Watch(problem, 0.0 if start is None or start.settling is None else start.settling.crossed)
     tangents, found = _approach(problem, first, wind, start, solve, watch)
     record, misfits, damping = None, list[float](), DAMPING
-    for rounds in range(1, most + 1):
+    for rounds in range(1, ROUNDS + 1):
         if found.status in ("infeasible", "not_finite"):
             break
         change = wind_density(problem, found.x, sense) - wind
         turned = [tangent_walls(body, problem.fem, found.x) for body in problem.bodies]
         record = _measure_settling(problem, found, turned, change, settled)
         record = replace(record, rounds=rounds, crossed=watch.deepest)
-        is_last = rounds == most or bool(problem.winds and mixer.idle > IDLE)
+        is_last = rounds == ROUNDS or bool(problem.winds and mixer.idle > IDLE)
         if is_drag and (is_last or mixer.idle > DRAG_IDLE):
             record = replace(record, asked=STEEP_SETTLED if is_last else DRAG_SETTLED)
         if record.is_settled or is_last:
