@@ -260,11 +260,13 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: str, out: Pa
         check_out_file(out, inputs=[scene, law_path])
     say(*default_law_lines(law_path))
     law = None if law_path is None else load_law(law_path)
-    summary = solve_both(load_scene(scene), law, space=space, start=start).summary
+    both = solve_both(load_scene(scene), law, space=space, start=start)
+    summary, ends = both.summary, (both.disk, both.rings)
+    say(*both.rings.scene.notes, *(one.message for one in ends if one.status != "converged"))
     answer(summary, "\n".join(side_by_side(summary)))
     if out is not None:
         write_text(out, json_text(summary))
-    _fail_unless({summary["disk"]["status"], summary["rings"]["status"]} == {"converged"})
+    _fail_unless(all(one.status == "converged" for one in ends))
 
 
 @main.command(epilog="Example: macro_fem localize curtain --out rings --window 0,0,100,100 --tubes")

@@ -106,11 +106,12 @@ def test_supports_out_of_reach_are_said_to_be_so(tmp_path):
 
 
 def test_compare_puts_both_side_by_side(tmp_path):
-    again = "[[support]]\nkind = 'edge'\nedge = 'top'\nheld = 'y'\n"
+    again = "[[support]]\nkind = 'edge'\nedge = 'top'\nheld = 'y'\n[solver]\nmax_iterations = 401\n"
     path, out = toml(tmp_path / "scene.toml", extra=again), tmp_path / "both.json"
     result = CliRunner().invoke(main, ["compare", str(path), "--plane", "--out", str(out)])
     assert result.exit_code == 0, result.output
     assert "mean_height_mm" in result.output
+    assert "[solver] max_iterations: has no effect on every ring" in result.output
     summary = json.loads(out.read_text())
     disk, rings = summary["disk"], summary["rings"]
     for one in (disk, rings):
