@@ -127,8 +127,10 @@ def support(
     """
     if not isinstance(cell, Cell):
         raise InputError("support takes a Cell and loads: support(Cell(r1=5, r2=0.5), [S11, S12, S22])")
-    options = options or DirectOptions()
-    S = checked_loads(S)
+    mine = (cell.weave.name, cell.cells, cell.centres)
+    if known is not None and (known.weave.name, known.cells, known.centres) != mine:
+        raise InputError("known: is the answer of another weave or of a cell of another size; give one for this cell")
+    options, S = options or DirectOptions(), checked_loads(S)
     sides_mm = reference_sides(cell, options)
     loads = (S / trace(S)[:, None])[:, weave_axes(cell)]
     states = None if known is None else known.states

@@ -231,6 +231,8 @@ def test_free_strains_are_flagged():
     assert found.status[0] == "converged"
     assert not found.unique[0]
     assert found.h[0] == pytest.approx(0.5 * (chain**2 - v @ v), abs=1e-7)
+    with pytest.raises(InputError, match="a cell of another size"):
+        support(Cell(cells=(2, 1)), [1.0, 0.0, 0.0], known=found)
 
 
 def test_a_locked_pose_is_opened_a_little():
