@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import skfem
 
 from homogenize.io import default_law
 from homogenize.laws.net import diagonal_net
@@ -11,7 +10,7 @@ from macro_fem.curtain import solve_problem, solve_scene
 from macro_fem.fem.cells import recovered
 from macro_fem.output.line_load import Nearby, largest, largest_mean, summary
 from macro_fem.scene.scene import read_scene
-from tests.test_macro_fem.sheets import posed, sheet
+from tests.test_macro_fem.sheets import mesh_of, posed, sheet
 
 AREA = 11.0 * 12.646069623526
 
@@ -22,7 +21,7 @@ def solve(cells, support, law=None, side=100.0, **load):
 
 def nearby(n, load, area):
     """Averages of the P that `load` gives at the middles of a square's triangles, n along a side of 10 mm."""
-    mesh = skfem.MeshTri.init_tensor(np.linspace(0, 10, n + 1), np.linspace(0, 10, n + 1))
+    mesh = mesh_of(10.0, 10.0, n, n)
     P = load(mesh.p.T[mesh.t.T].mean(axis=1))
     return Nearby(mesh, P, np.linalg.norm(P, 2, axis=(1, 2)), area)
 
@@ -80,8 +79,7 @@ def test_it_converges_at_the_corners_to_a_few_per_cent():
 
 def test_an_even_curtain_has_no_warning():
     """Its largest line load is the weight below the top edge, and so is the average, less half a cell of it."""
-    solution = solve(8, {"kind": "top"})
-    told = summary(solution)
+    told = summary(solve(8, {"kind": "top"}))
     assert told["line_load_warning"] is None
     weight = 2.785e-6 * 9.81
     assert told["max_line_load_over_a_cell_N_per_mm"] == pytest.approx(weight * 95.0, rel=0.06)
@@ -111,8 +109,7 @@ CHECKERBOARD = np.array([1.0, -1.0, 1.0, -1.0]) / 4.0
 
 
 def crossed(cells):
-    tables = {"curtain": {"width": 400.0, "height": 400.0}, "mesh": {"cells": cells, "pattern": "crossed"}}
-    return posed({**tables, "support": {"kind": "corners"}, "solver": {"kind": "rigid"}})
+    return posed(sheet(400.0, 400.0, cells, {"kind": "corners"}, {"pattern": "crossed"}, solver={"kind": "rigid"}))
 
 
 def test_an_average_over_neighbours_has_no_checkerboard_and_keeps_what_is_linear():
