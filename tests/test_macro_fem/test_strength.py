@@ -77,8 +77,7 @@ MESH_ALONE = {"kind": "corners", "rings_per_hook": 1000}
 
 
 def corner_hung(side, cells):
-    tables = {"curtain": {"width": side, "height": side}, "support": MESH_ALONE, "mesh": {"cells": cells}}
-    return solve_scene(read_scene(tables), default_law())
+    return solve_scene(read_scene(sheet(side, side, cells, MESH_ALONE)), default_law())
 
 
 def test_the_average_over_a_cell_converges_at_a_hook_where_the_pointwise_value_grows():
@@ -271,9 +270,8 @@ def test_rings_at_corners_points_runners_and_loaded_points():
         most = max(one["largest_nodal_force_N"] for one in told["support_forces"])
         assert told["ring_at_hook"].startswith(f"ring at {name}")
         assert told["utilisation_of_hook_rings_max"] == pytest.approx(most / share / ring.first_yield_N, rel=1e-9)
-    point = {"at": [30.0, 30.0], "rings_per_hook": 4}
     for forces, name in (([-8.0], "load.point 1"), ([-3.0, -5.0], "load.point 1 and load.point 2")):
-        load = {"point": [point | {"force": [0.0, force]} for force in forces]}
+        load = {"point": [{"at": [30.0, 30.0], "force": [0.0, force], "rings_per_hook": 4} for force in forces]}
         told = summarize(solve_scene(read_scene(curtain | {"support": {"kind": "top"}, "load": load}), default_law()))
         assert told["ring_at_hook"] == f"ring at {name}"
         assert told["utilisation_of_hook_rings_max"] == pytest.approx(2.0 / ring.first_yield_N, rel=1e-12)
