@@ -4,6 +4,7 @@ z towards the viewer."""
 from __future__ import annotations
 
 import numpy as np
+from scipy import sparse
 
 from rve.common import Array
 from rve.common.records import Index
@@ -38,12 +39,12 @@ def mean_at_corners(cells: Index, values: Array, weight: Array | None = None) ->
     >>> mean_at_corners(np.array([[0, 1], [1, 2]]), np.array([1.0, 3.0]))
     array([1., 2., 3.])
     """
-    where, count = cells.ravel(), int(cells.max()) + 1
-    share = np.repeat(np.ones(len(cells)) if weight is None else weight, cells.shape[1])
-    total = np.maximum(np.bincount(where, weights=share, minlength=count), 1e-300)
-    columns = np.repeat(values.reshape(len(cells), -1), cells.shape[1], axis=0).T
-    means = [np.bincount(where, weights=share * column, minlength=count) / total for column in columns]
-    return np.stack(means, axis=-1).reshape(count, *values.shape[1:])
+    share, k = np.ones(len(cells)) if weight is None else weight, cells.shape[1]
+    cell = np.repeat(np.arange(len(cells)), k)
+    sums = sparse.csr_matrix((np.repeat(share, k), (cells.ravel(), cell)))
+    total = np.maximum(sums @ np.ones(len(cells)), 1e-300)
+    means = (sums @ values.reshape(len(cells), -1)) / total[:, None]
+    return np.asarray(means.reshape(len(total), *values.shape[1:]))
 
 
 def recovered(cells: Index, values: Array, area: Array) -> Array:

@@ -58,6 +58,8 @@ SQUARE = [[0, 1], [1, 2]]
 """Places in triples (11, 12, 22) of the components of their tensors."""
 ROUNDING = 1e-9
 """Compliance of constraints relative to the stiffness: what repeats itself stays solvable."""
+BLOCK = 64
+"""Shapes whose roughness is found together."""
 RECORD = "modes.json"
 SHOWN = 0.15
 """The largest displacement of a shape in pictures over the size of the curtain."""
@@ -109,10 +111,10 @@ def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
         is_taut = square > least
         square, shape = square[is_taut], shape[:, is_taut]
         ratio = (shape * (M @ shape)).sum(axis=0) / (shape * (lumped @ shape)).sum(axis=0)
-        shapes = (T @ shape).T.reshape(len(square), -1, 3 if in_space else 1)
-        if not in_space:
-            shapes = np.concatenate([np.zeros((*shapes.shape[:2], 2)), shapes], axis=2)
-        rough = _roughness(solution, shapes)
+        shapes = np.zeros((len(square), solution.problem.disc.n_nodes, 3))
+        shapes[..., 0 if in_space else 2 :] = (T @ shape).T.reshape(*shapes.shape[:2], 3 if in_space else 1)
+        blocks = np.split(shapes, range(BLOCK, len(shapes), BLOCK))
+        rough = np.concatenate([_roughness(solution, block) for block in blocks])
         is_smooth = rough < SMOOTH
         frequency = np.sqrt(square * (1.0 - np.where(is_smooth, rough, 0.0))) / (2.0 * np.pi)
         first, multiplicity = _distinct(frequency, is_smooth, ratio > RESOLVED, exact)
@@ -193,8 +195,8 @@ def _across(solution: CurtainSolution) -> sparse.csc_matrix:
 def _of_one_component(solution: CurtainSolution) -> tuple[sparse.spmatrix, ...]:
     """The geometric stiffness, N/mm, and consistent and lumped masses, N s2/mm, (n_nodes, n_nodes); of straight bars,
     which mix the motions of their nodes, both are consistent."""
-    problem, disc, S = solution.problem, solution.problem.disc, solution.S
-    A = S[:, SQUARE][:, None, :, None, :]
+    problem, disc = solution.problem, solution.problem.disc
+    A = np.where(_carries(solution)[:, None], solution.S, 0.0)[:, SQUARE][:, None, :, None, :]
     pattern = SparsityPattern.of(disc, 1, np.ones(disc.n_nodes, bool))
     element, mass = ELEMENTS[disc.element][0](), skfem.models.poisson.mass
     own, unit = mesh_masses(problem), mass.assemble(skfem.CellBasis(problem.mesh.mesh, element))
@@ -207,11 +209,15 @@ def _of_one_component(solution: CurtainSolution) -> tuple[sparse.spmatrix, ...]:
     return pattern.full(stiffness(disc, pattern, A)), M, lumped
 
 
+def _carries(solution: CurtainSolution) -> np.ndarray:
+    """Which points carry load; others have no stiffness, not that of the tension that makes slack shapes unique."""
+    size = solution.S[:, 0] + solution.S[:, 2]
+    return np.asarray(size > CARRIES * size.max(initial=0.0))
+
+
 def _constraints(solution: CurtainSolution, T: sparse.csc_matrix) -> sparse.csr_matrix:
     """Rows S:(F^T grad w) of the points that carry load, on the unknowns, each of length 1 on the nodes."""
-    disc, F, S = solution.problem.disc, solution.F, solution.S
-    size = S[:, 0] + S[:, 2]
-    q = np.flatnonzero(size > CARRIES * size.max(initial=0.0))
+    disc, F, S, q = solution.problem.disc, solution.F, solution.S, np.flatnonzero(_carries(solution))
     P = F[q] @ S[q][:, SQUARE]
     values = np.einsum("naB,nkB->nka", P, disc.grad[q])
     values = values / np.sqrt((values**2).sum(axis=(1, 2)))[:, None, None]
