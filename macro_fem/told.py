@@ -187,6 +187,7 @@ def _text(value: Any) -> str:
 
 
 def _force(x: float, y: float, z: float = 0.0) -> str:
-    """Components with three digits; the third one only where there is one beside the others."""
-    is_flat = abs(z) <= 1e-6 * max(abs(x), abs(y))
-    return " ".join(map(digits, (x, y) if is_flat else (x, y, z)))
+    """Components with three digits, rounding beside the largest as 0; the third one only where there is one."""
+    least = 1e-6 * max(abs(x), abs(y), abs(z))
+    parts = [one if abs(one) > least else 0.0 for one in (x, y, z)]
+    return " ".join(map(digits, parts if parts[2] else parts[:2]))
