@@ -121,18 +121,15 @@ def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
         if len(first) > number or asked == most:
             break
         asked = min(most, 2 * asked)
-    is_coarse = len(first) < number
-    if is_coarse:
-        first, multiplicity = _distinct(frequency, is_smooth, ratio > 0.0, exact)
     first, multiplicity = first[:number], multiplicity[:number]
-    if len(first) < number:
-        raise InputError(f"number = {number}: this mesh tells {len(first)} distinct modes, use more cells")
+    if not len(first):
+        raise InputError(f"number = {number}: this mesh tells no mode, use more cells")
     frequency, shapes = frequency[first], shapes[first]
     shapes = shapes / np.linalg.norm(shapes, axis=2).max(axis=1)[:, None, None]
-    left_out = (
-        f"motion of slack parts, and motion that {'leaves the locked surface' if in_space else 'stays in its plane'}"
-    )
-    left_out += "; the mesh is too coarse for so many: the higher ones are its own, use more cells" if is_coarse else ""
+    other = "leaves the locked surface" if in_space else "stays in its plane"
+    left_out = f"motion of slack parts, and motion that {other}"
+    if len(first) < number:
+        left_out += f"; more modes than {len(first)}, which shapes on so coarse a mesh do not tell: use more cells"
     return Modes(frequency, multiplicity, shapes, solution, left_out)
 
 

@@ -32,7 +32,6 @@ def test_records_are_not_written_in_place():
     table = solve_table(Cell(), ([20.0, 25.0], [30.0, 0.0]))
     table = frozen(replace(table, states=frozen(table.states)))
     assert np.isfinite(with_rings(table, Cell()).compliance[0]).all()
-    rows = np.array([1])
-    put = table.states.put(rows, table.states.take(np.array([0])))
+    put = table.states.put(np.array([1]), table.states.take(np.array([0])))
     np.testing.assert_array_equal(put.pose.lattice[1], table.states.pose.lattice[0])
     assert not np.array_equal(table.states.pose.lattice[1], table.states.pose.lattice[0])
