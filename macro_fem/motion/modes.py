@@ -58,8 +58,8 @@ SQUARE = [[0, 1], [1, 2]]
 """Places in triples (11, 12, 22) of the components of their tensors."""
 ROUNDING = 1e-9
 """Compliance of constraints relative to the stiffness: what repeats itself stays solvable."""
-BLOCK = 64
-"""Shapes whose roughness is found together."""
+MOST, BLOCK = 800, 64
+"""Shapes looked at, and those whose roughness is found together."""
 RECORD = "modes.json"
 SHOWN = 0.15
 """The largest displacement of a shape in pictures over the size of the curtain."""
@@ -105,7 +105,7 @@ def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
     pendulum = _pendulum(solution)
     sigma = -SHIFT * pendulum
     inverse = LinearOperator((n, n), matvec=_solver(K - sigma * M, C), dtype=np.float64)
-    asked, least = min(most, 3 * number + 8), SLACK_HZ**2 * pendulum
+    asked, least, last = min(most, 3 * number + 8), SLACK_HZ**2 * pendulum, min(most, max(MOST, 6 * number))
     while True:
         square, shape = eigsh(K, asked, M, sigma=sigma, OPinv=inverse, v0=np.linspace(1.0, 2.0, n), tol=1e-12)
         is_taut = square > least
@@ -118,12 +118,15 @@ def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
         is_smooth = rough < SMOOTH
         frequency = np.sqrt(square * (1.0 - np.where(is_smooth, rough, 0.0))) / (2.0 * np.pi)
         first, multiplicity = _distinct(frequency, is_smooth, ratio > RESOLVED, exact)
-        if len(first) > number or asked == most:
+        if len(first) > number or asked == last:
             break
-        asked = min(most, 2 * asked)
+        asked = min(last, 2 * asked)
     first, multiplicity = first[:number], multiplicity[:number]
     if not len(first):
-        raise InputError(f"number = {number}: this mesh tells no mode, use more cells")
+        raise InputError(
+            f"number = {number}: this mesh tells no mode: the {last} lowest shapes change from node to node, as of "
+            "columns that hang without a line load across; use more cells"
+        )
     frequency, shapes = frequency[first], shapes[first]
     shapes = shapes / np.linalg.norm(shapes, axis=2).max(axis=1)[:, None, None]
     other = "leaves the locked surface" if in_space else "stays in its plane"
