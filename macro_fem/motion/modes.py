@@ -124,8 +124,8 @@ def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
     first, multiplicity = first[:number], multiplicity[:number]
     if not len(first):
         raise InputError(
-            f"number = {number}: this mesh tells no mode: the {last} lowest shapes change from node to node, as of "
-            "columns that hang without a line load across; use more cells"
+            f"number = {number}: this mesh tells no mode: the {last} lowest shapes are slack or change from node to "
+            "node, as of columns that hang without a line load across; use more cells"
         )
     frequency, shapes = frequency[first], shapes[first]
     shapes = shapes / np.linalg.norm(shapes, axis=2).max(axis=1)[:, None, None]
