@@ -129,9 +129,7 @@ def _approach(
     """
     held = np.where(problem.fem.held, first.x, 0.0)
     before = 0.0 if start is None else start.problem.factor
-    moves = [(problem.factor - before) * float(np.linalg.norm(one.obstacle.move)) for one in problem.bodies]
-    parts = [PACE * one.obstacle.breadth / max(move, 1e-300) for one, move in zip(problem.bodies, moves, strict=True)]
-    done, stride, x, last = 0.0, max(SHORTEST, min([1.0, *parts])), first.x, start
+    done, stride, x, last = 0.0, _stride(problem, before), first.x, start
     while True:
         part = min(1.0, done + stride)
         factors = (before + done * (problem.factor - before), before + part * (problem.factor - before))
@@ -148,6 +146,12 @@ def _approach(
         if found.status == "infeasible" or part == 1.0:
             return tangents, found
         done, x, last = part, found.x, found
+
+
+def _stride(problem: CurtainProblem, before: float) -> float:
+    """The part of their moves that no body should exceed at once: farther, and it may pass between nodes."""
+    parts = [one.obstacle.breadth / max(float(np.linalg.norm(one.obstacle.move)), 1e-300) for one in problem.bodies]
+    return max(SHORTEST, min([1.0, *(PACE * part / max(problem.factor - before, 1e-300) for part in parts)]))
 
 
 class _Watch:

@@ -48,13 +48,15 @@ def point_forces(solution: CurtainSolution) -> Iterator[PointForce]:
         for count, node in enumerate(held.nodes if not len(held.facets) else (), 1):
             name, rings = f"support {number} ({held.name})", getattr(item, "rings_per_hook", 1)
             yield PointForce(name, nodes[node], float(size[node]), 0.0, rings, f"{item.one} {count}{of}")
-    all_loads = spot_loads(scene)
-    spots = [(int(point_node(load.at, problem.disc)[0]), getattr(load, "radius", 0.0)) for _, load in all_loads]
-    for spot in dict.fromkeys(spots):
-        names, loads = zip(*(one for one, at in zip(all_loads, spots, strict=True) if at == spot), strict=True)
+    spots: dict[tuple[int, float], dict[str, PointLoad | PatchLoad]] = {}
+    for name, load in spot_loads(scene):
+        node = int(point_node(load.at, problem.disc)[0])
+        spots.setdefault((node, getattr(load, "radius", 0.0)), {})[name] = load
+    for (_, radius), own in spots.items():
+        loads, name = [*own.values()], " and ".join(own)
         force = factor * float(np.linalg.norm(np.sum([in_3d(load.force) for load in loads], axis=0)))
-        rings, name = min(getattr(load, "rings_per_hook", 0) for load in loads), " and ".join(names)
-        yield PointForce(name, np.array(loads[0].at), force, 2.0 * spot[1], rings, name)
+        rings = min(getattr(load, "rings_per_hook", 0) for load in loads)
+        yield PointForce(name, np.array(loads[0].at), force, 2.0 * radius, rings, name)
 
 
 def spot_loads(scene: Scene) -> list[tuple[str, PointLoad | PatchLoad]]:

@@ -67,7 +67,9 @@ def summary(solution: CurtainSolution) -> dict[str, Any]:
 
 def warning(solution: CurtainSolution, peak: Extreme, mean: Extreme | None, area: float | None) -> str | None:
     """A sentence where the largest line load depends on the mesh, as it does at points that are held or loaded."""
-    side = float(np.sqrt(solution.problem.disc.cell_area[solution.principal()[0][:, 0].argmax()]))
+    mesh = solution.problem.mesh.mesh
+    away = np.linalg.norm(mesh.p[:, mesh.t].mean(axis=1).T - peak.at, axis=1)
+    side = float(np.sqrt(solution.problem.disc.cell_area[away.argmin()]))
     points = [one.at for one in point_forces(solution) if one.rings]
     is_near_one = any(np.linalg.norm(at - peak.at) < NEAR * side for at in points)
     if not is_near_one and (mean is None or peak.value <= LOCAL * mean.value):

@@ -37,8 +37,6 @@ MOST_CELLS = 400_000
 """Reference cells of a scene at most, of two rings each."""
 WHOLE, NEARLY_WHOLE = 1e-7, 0.02
 """A side of a rectangle within these parts of a cell of whole cells is left as it is, or made whole with a note."""
-
-
 EQUALLY_FAR = 1e-6
 """Part of r1 by which distances of rings from a node may differ that count as one."""
 OF_DISK = ("kind", "tolerance", "max_iterations", "bounds", "adapt")

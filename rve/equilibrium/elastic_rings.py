@@ -88,7 +88,8 @@ def contact_flexibility(ends: Ends, ring: Ring, joint: Array | None = None) -> A
     mine = [ends.direction * (ends.ring == k)[..., None] for k in range(ends.grain.shape[1])]
     open_at = [None] * len(mine) if joint is None else joint.T
     full = np.sum([flexibility(ends.phi, d, ring.curved(), x) for d, x in zip(mine, open_at, strict=True)], axis=0)
-    return np.asarray(full.reshape(len(full), 2, -1, 2, full.shape[2] // 2).sum(axis=(1, 3)))  # both ends of contacts
+    c = ends.slot.shape[1]
+    return np.asarray(full.reshape(len(full), 2, c, 2, c).sum(axis=(1, 3)))  # over both ends of each contact
 
 
 @dataclass(frozen=True)

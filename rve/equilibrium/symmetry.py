@@ -103,8 +103,7 @@ def solve_equilibrium_symmetric(s: Array, equations: Equations, options: DirectO
     is_solved = is_confirmed(found, half, equations, unit, options.tolerance)
     is_slender = np.abs(unit[:, 0] * unit[:, 2] - unit[:, 1] ** 2) < 1e-12  # of rank one
     thin = np.flatnonzero(is_slender & (options.tolerance > found.R))
-    if len(thin):
-        is_solved[thin] |= ~strain_is_unique(equations, found.take(thin), unit[thin])
+    is_solved[thin] |= ~strain_is_unique(equations, found.take(thin), unit[thin])
     left = np.flatnonzero(~is_solved)
     if not len(left):
         return found

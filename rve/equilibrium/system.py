@@ -180,14 +180,14 @@ class Equations:
         cases, first = np.unique(case[bent], return_index=True)
         if len(cases):
             bend[cases] = np.add.reduceat(force[bent, None, None] * LTHLT, first, axis=0)
-        return G.reshape(len(T), -1, m), bend
+        return G.reshape(len(T), G.shape[1] * G.shape[2], m), bend
 
     def assemble(self, pose: Pose, contacts: CellContacts, lam: Array, s: Array) -> System:
         """Residual, derivatives and gradients at a pose for contact forces lam (n, p, SLOTS) and loads s (n, ...)."""
         n, T = len(s), reduction(pose)
         f, J = self.load(pose, T, s)
         G, bend = self.gap_derivatives(pose, contacts, T, lam, self.idle)
-        r, J = f + np.matmul(lam.reshape(n, 1, -1), G)[:, 0], J + bend
+        r, J = f + np.matmul(lam.reshape(n, 1, G.shape[1]), G)[:, 0], J + bend
         # Shares of contact forces in the force on a1 and a2.
         flat = np.einsum("nps,npsx->npx", lam, contacts.normal[..., :2])
         shares = [np.einsum("npx,p->nx", flat, shift) for shift in self.weave.pairs[:, 2:].T]
