@@ -168,9 +168,10 @@ def test_an_outline_goes_to_cad_and_back(tmp_path):
     drawing.saveas(tmp_path / "round.dxf")
     for name, unit in (("empty", 0), ("inches", 1)):
         ezdxf.new(units=unit).saveas(tmp_path / f"{name}.dxf")
-    (tmp_path / "words.dxf").write_text("no drawing")
+    for name, text in (("words", "no drawing"), ("cut", (tmp_path / "panel.dxf").read_text()[:300])):
+        (tmp_path / f"{name}.dxf").write_text(text)
     refused = {"round": "closed polylines .* no arcs", "empty": "needs closed polylines", "inches": "the unit inches"}
-    refused |= dict.fromkeys(("words", "none"), "cannot be read as DXF") | {"": "file: is missing"}
+    refused |= dict.fromkeys(("words", "cut", "none"), "cannot be read as DXF") | {"": "file: is missing"}
     for name, words in refused.items():
         curtain = {"shape": "dxf"} | ({"file": f"{name}.dxf"} if name else {})
         with pytest.raises(InputError, match=words):

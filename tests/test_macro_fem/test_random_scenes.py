@@ -192,8 +192,7 @@ def test_a_few_random_scenes():
 
 
 @pytest.mark.parametrize(
-    "first",
-    [pytest.param(k, marks=pytest.mark.release if k else pytest.mark.slow) for k in range(0, len(ALL), 50)],
+    "first", [pytest.param(k, marks=pytest.mark.release if k else pytest.mark.slow) for k in range(0, len(ALL), 50)]
 )
 def test_300_random_scenes(first, fitted_law):
     outcomes = [check(seed, fitted_law) for seed in ALL[first : first + 50]]

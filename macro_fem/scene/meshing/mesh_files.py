@@ -134,11 +134,12 @@ def read_outline(path: Path) -> dict[str, Any]:
 
     try:
         drawing = ezdxf.readfile(path)
-    except (OSError, ezdxf.DXFError) as error:
-        raise InputError(f"{path}: cannot be read as DXF: {str(error).splitlines()[0]}") from error
+        lines: list[Any] = [*drawing.modelspace().query("LWPOLYLINE POLYLINE")]
+    except Exception as error:  # ezdxf raises whatever damaged data leads to
+        what = str(error).split("\n")[0] or "it is damaged or cut off"
+        raise InputError(f"{path}: cannot be read as DXF: {what}") from error
     if drawing.units not in (0, ezdxf.units.MM):
         raise InputError(f"{path}: states the unit {ezdxf.units.unit_name(drawing.units).lower()}, it must be mm")
-    lines: Any = drawing.modelspace().query("LWPOLYLINE POLYLINE")
     closed = [line for line in lines if (line.closed if line.dxftype() == "LWPOLYLINE" else line.is_closed)]
     if not closed or any(line.has_arc for line in closed):
         raise InputError(f"{path}: needs closed polylines (LWPOLYLINE or POLYLINE) of straight sides, no arcs")
