@@ -76,32 +76,6 @@ class CellMotion(Rows):
     history: History | None = None
 
 
-@dataclass(frozen=True)
-class _Frozen(Rows):
-    """What a step keeps from its beginning: T, G, line load on (a1, a2), gaps and stiffnesses of the slots, energy, and
-    the stiffness `bend` of contact curvature.
-    """
-
-    T: Array
-    G: Array
-    load: Array
-    gap: Array
-    k: Array
-    energy: Array
-    bend: Array
-
-
-def _freeze(motion: CellMotion, equations: Equations, options: StewartTrinkleOptions, dynamics: Dynamics) -> _Frozen:
-    con, T = motion.contacts, reduction(motion.pose)
-    n = len(T)
-    k = np.where(con.present, dynamics.stiffness[:, None], 0.0)
-    gap = np.where(con.present, con.gap, 0.0)
-    G, bend = equations.gap_derivatives(motion.pose, con, T, np.maximum(-k * gap, 0.0), 0.0)
-    bend = geometric_stiffness(-bend, T, equations) if options.curvature else np.zeros(bend.shape)
-    energy, load = dynamics.energy(con, motion.v), lattice_load(motion.pose, motion.s)[0]
-    return _Frozen(T, G, load, gap.reshape(n, -1), k.reshape(n, -1), energy, bend)
-
-
 def geometric_stiffness(bend: Array, T: Array, equations: Equations) -> Array:
     """Positive part of the contact curvature bend (n, m, m) = -sum lam d2gap/dq2; T (n, m_full, m) by `reduction`.
 
@@ -117,52 +91,34 @@ def geometric_stiffness(bend: Array, T: Array, equations: Equations) -> Array:
 
 def advanced(
     motion: CellMotion, equations: Equations, options: StewartTrinkleOptions, dynamics: Dynamics
-) -> tuple[CellMotion, Array, Array]:
-    """One accepted step of every case: the motion, the step lengths, and the rise of the energy.
+) -> tuple[CellMotion, Flags, Array]:
+    """Every case after a step of its length h, whether it is accepted, and the change of the energy, (n,) each.
 
-    The step is halved until contact and kinetic energy, less the work of the load, do not rise above round-off, links
-    stay intact and no ring moves too far. A case whose step falls below h_min keeps its place with h = 0.
+    It is if contact and kinetic energy, less the work of the load, do not rise above round-off, links stay intact and
+    no ring moves too far. Else the case stays where it is, for half the step.
     """
-    frozen = _freeze(motion, equations, options, dynamics)
-    h, rise, rejected = motion.h.copy(), np.zeros(len(motion.row)), motion.rejected.copy()
-    after, todo = replace(motion, lam=np.zeros(motion.lam.shape)), np.arange(len(h))
-    while len(todo):
-        tried, change, good = _tried(motion.take(todo), frozen.take(todo), h[todo], equations, options, dynamics)
-        rows, todo = todo[good], todo[~good]
-        after, rise[rows] = after.put(rows, tried.take(good)), change[good]
-        rejected[todo] += 1
-        h[todo] *= 0.5
-        gone = h[todo] < options.h_min
-        h[todo[gone]] = 0.0
-        todo = todo[~gone]
-    following, steps = np.minimum(options.h_max, options.restore * h), motion.steps + (h > 0.0)
-    return replace(after, h=following, time=motion.time + h, steps=steps, rejected=rejected), h, rise
-
-
-def _tried(
-    motion: CellMotion,
-    start: _Frozen,
-    h: Array,
-    equations: Equations,
-    options: StewartTrinkleOptions,
-    dynamics: Dynamics,
-) -> tuple[CellMotion, Array, Flags]:
-    """The motion after a step of length h (n,), the change of its energy, and whether the step may be accepted."""
-    T, Tt, hh = start.T, start.T.transpose(0, 2, 1), h[:, None, None]
-    A = np.matmul(Tt, np.matmul(dynamics.mass / hh**2 + dynamics.mass * dynamics.decay / hh, T)) + start.bend
-    force = np.matmul(motion.v[:, None, :], dynamics.mass)[:, 0] / h[:, None]
-    force[:, :4] += start.load
+    h, con, T, mass = motion.h, motion.contacts, reduction(motion.pose), dynamics.mass
+    Tt, hh, load = T.transpose(0, 2, 1), h[:, None, None], lattice_load(motion.pose, motion.s)[0]
+    k, gap = np.where(con.present, dynamics.stiffness[:, None], 0.0), np.where(con.present, con.gap, 0.0)
+    G, bend = equations.gap_derivatives(motion.pose, con, T, np.maximum(-k * gap, 0.0), 0.0)
+    A = np.matmul(Tt, np.matmul(mass / hh**2 + mass * dynamics.decay / hh, T))
+    A += geometric_stiffness(-bend, T, equations) if options.curvature else 0.0
+    force = np.matmul(motion.v[:, None, :], mass)[:, 0] / h[:, None]
+    force[:, :4] += load
     b = np.matmul(Tt, force[..., None])[..., 0]
-    w, lam, is_solved = solve_contact_step(A, b, start.G, start.gap, start.k)
+    w, lam, is_solved = solve_contact_step(A, b, G, gap.reshape(len(h), -1), k.reshape(len(h), -1))
     v = np.matmul(T, w[..., None])[..., 0] / h[:, None]
     pose = moved(motion.pose, w)
     contacts = find_contacts(pose, equations.weave, equations.wire, options.reach)
     way = np.concatenate([pose.a1 - motion.pose.a1, pose.a2 - motion.pose.a2], axis=1)
-    change = dynamics.energy(contacts, v) - start.energy - (start.load * way).sum(axis=1)
+    rise = dynamics.energy(contacts, v) - dynamics.energy(con, motion.v) - (load * way).sum(axis=1)
     near = h * dynamics.largest_motion(v) <= options.largest_move
-    good = is_solved & contacts.links_intact & (change <= ROUND_OFF) & near
-    R, lam = dynamics.weighted_load(v, motion.v, h, start.load), lam.reshape(motion.lam.shape)
-    return replace(motion, pose=pose, contacts=contacts, lam=lam, v=v, R=R), change, good
+    good = is_solved & contacts.links_intact & (rise <= ROUND_OFF) & near
+    R, lam = dynamics.weighted_load(v, motion.v, h, load), lam.reshape(motion.lam.shape)
+    after = replace(motion, pose=pose, contacts=contacts, lam=lam, v=v, R=R, time=motion.time + h)
+    after = replace(after, h=np.minimum(options.h_max, options.restore * h), steps=motion.steps + 1)
+    stay, rows = replace(motion, h=0.5 * h, rejected=motion.rejected + 1), np.flatnonzero(good)
+    return stay.put(rows, after.take(rows)), good, rise
 
 
 def solve_contact_step(A: Array, b: Array, G: Array, gap: Array, k: Array) -> tuple[Array, Array, Flags]:
@@ -220,23 +176,26 @@ def solve(
     options = options or StewartTrinkleOptions()
     dynamics, motion = Dynamics.of(equations, options), begin(s, equations, options)
     ended: list[CellMotion] = []
-    log: list[tuple[Any, ...]] = []
+    log: list[list[Any]] = []
     while len(motion.row):
         # The residual falls by powers of ten on the way to rest, and the slowest case counts.
         here = way(1.0, float(motion.R.max()), options.tolerance) or 0.0
         tell(f"motion of {len(s)} cells, {len(motion.row)} under way", 1.0 - (1.0 - here) * len(motion.row) / len(s))
-        motion, h, rise = advanced(motion, equations, options, dynamics)
+        h = motion.h
+        motion, good, rise = advanced(motion, equations, options, dynamics)
         if history:
             kinetic = dynamics.kinetic_energy(motion.v) * options.load * options.r1_mm**2
             side = (motion.lam[:, ~equations.weave.linked] > 0.0).sum(axis=(1, 2))
-            log.append((motion.row, motion.time, h, motion.pose.lattice, motion.R, kinetic, rise, side))
-        out = (options.tolerance > motion.R) | (motion.steps >= options.max_steps) | (h == 0.0)
+            columns = (motion.row, motion.time, h, motion.pose.lattice, motion.R, kinetic, rise, side)
+            log.append([column[good] for column in columns])
+        out = (options.tolerance > motion.R) | (motion.steps >= options.max_steps) | (motion.h < options.h_min)
         if out.any():
             ended.append(motion.take(out))
             motion = motion.take(~out)
     end = ended[0].join(ended[1:])
     end = end.take(np.argsort(end.row))
-    status = np.where(options.tolerance > end.R, "converged", np.where(end.h == 0.0, "time-step", "step-limit"))
+    failed = np.where(end.h < options.h_min, "time-step", "step-limit")
+    status = np.where(options.tolerance > end.R, "converged", failed)
     steps = History(*map(np.concatenate, zip(*log, strict=True))) if history else None
     return replace(end, status=status.astype("<U16"), history=steps)
 
