@@ -11,22 +11,12 @@ import numpy as np
 
 from homogenize import MembraneLaw, with_material
 from macro_fem.curtain import is_alike, solve_problem
-from macro_fem.fem.assembly import gradient, internal_force, load_vector
+from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
 from macro_fem.motion.pace import Failed, Frame, Mover
 from macro_fem.motion.stage import Contacts, forces_at, let_go, masses_of, scene_at, stored_energy, weights_of, winds_at
-from macro_fem.motion.step import (
-    Account,
-    Moment,
-    Moving,
-    Worked,
-    difference,
-    next_account,
-    rebound,
-    solve_step,
-    support_forces,
-)
+from macro_fem.motion.step import Account, Moment, end_of, make_step, solve_step
 from macro_fem.output import strength
 from macro_fem.output.files import curtain_mesh
 from macro_fem.output.pictures import figures, side_by_side
@@ -114,50 +104,33 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             S, cones, forces = np.zeros((len(P), 3)), None, np.zeros_like(x)
         place = np.vstack([x, *[np.array([ball.at]) for ball in balls]])
         Contacts(problem, balls).check_start(place)
-        stored = 0.0 if self.is_rigid else stored_energy(problem, gradient(problem.disc, x))
+        stored = 0.0 if self.is_rigid else stored_energy(problem, x)
         moment, account = self.at_start(place, masses_of(problem, balls), weights_of(problem, balls), stored)
         return MotionFrame(moment=moment, account=account, P=P, S=S, supports=forces, problem=problem, cones=cones)
 
     def next_frame(self, frame: MotionFrame, before: Moment | None, h: float) -> MotionFrame:
         now, balls = frame.moment, self.balls
         problem, fem = self.at(now.t + h)
-        law = problem.law if self.is_rigid else problem.elastic_law
-        compliance = np.zeros((3, 3)) if self.is_rigid else problem.elastic_law.compliance
-        moving = Moving(fem, law, masses_of(problem, balls), compliance, self.size)
-        change = difference(now, before, h)
-        forces = forces_at(problem, balls, now, self.motion.damping)
-        n = problem.disc.n_nodes
+        forces, n = forces_at(problem, balls, now, self.motion.damping), problem.disc.n_nodes
+        step = make_step(now, before, h, masses_of(problem, balls), forces)
         way = h * sum(float(np.linalg.norm(v, axis=1).max(initial=0.0)) for v in (now.v[:n], now.v[n:]))
         for reach in (way + REST, np.inf):
             contacts = Contacts(problem, balls, frame.problem, reach)
-            end = solve_step(moving, change, forces, now.x, frame.cones, contacts.tangents)
-            _check(end.result, now.t + h)
-            if max(contacts.depths(end.x), default=0.0) <= TOUCHED * self.size + 1e-7 * reach:
+            result, walls = solve_step(problem, fem, step, frame.cones, contacts.tangents)
+            _check(result, now.t + h)
+            if max(contacts.depths(fem.positions(result.z)), default=0.0) <= TOUCHED * self.size + 1e-7 * reach:
                 break  # else points without a half-space are inside a ball
-        F = [gradient(fem.disc, x) for x in (now.x, end.x)]
-        P = end.result.P
-        held = support_forces(moving, change, forces, end, internal_force(fem.disc, P))
-        moved, touched = contacts.work(end, now.x)
-        worked = Worked(
-            held,
-            end.pushes,
-            inner=float((fem.disc.weight[:, None, None] * P * (F[1] - F[0])).sum()),
-            stored=None if self.is_rigid else stored_energy(problem, F[1]) - stored_energy(problem, F[0]),
-            moved=moved,
-            touched=touched,
-        )
-        account = next_account(frame.account, moving.mass, change, now, forces, end.x, worked)
+        end, (moved, touched) = end_of(fem, step, result, walls), contacts.work(walls, result.wall_forces, now.x)
+        stored = None if self.is_rigid else stored_energy(problem, end.x)
         return MotionFrame(
-            moment=Moment(now.t + h, end.x, change.velocity(end.x)),
-            account=account,
-            rebound=rebound(moving.mass, change, forces, end.x, worked),
-            iterations=end.result.iterations,
-            P=P,
-            S=end.result.S,
-            supports=held[:n],
-            relative_gap=end.result.evidence.gap,
+            **step.finish(frame.account, replace(end, stored=stored, moved=moved, touched=touched)),
+            iterations=result.iterations,
+            P=result.P,
+            S=result.S,
+            supports=end.supports[:n],
+            relative_gap=result.evidence.gap,
             problem=problem,
-            cones=end.result.cones,
+            cones=result.cones,
         )
 
     def peaks(self, frame: MotionFrame) -> list[float]:

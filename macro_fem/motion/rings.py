@@ -16,7 +16,7 @@ import numpy as np
 
 from macro_fem.motion.pace import Failed, Frame, Mover
 from macro_fem.motion.stage import TONNE, relative_wind, scene_at
-from macro_fem.motion.step import Account, Forces, Moment, Worked, difference, next_account, rebound
+from macro_fem.motion.step import Account, Forces, Moment, StepEnd, make_step
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
 from macro_fem.scene.loads import PER_MM2, areal_mass
@@ -130,16 +130,17 @@ class MovingRings(Mover[RingFrame, RingScene]):
     def next_frame(self, frame: RingFrame, before: Moment | None, h: float, halvings: int = HALVINGS) -> RingFrame:
         """The frame after a step h, or after its two halves where it is not solved; Failed where these are not."""
         now, asked = frame.moment, self.at(frame.moment.t + h)
-        change = difference(now, before, h)
-        mass, n = self.masses(asked), len(asked.mass)
-        resist = np.where(np.arange(len(mass)) < 2 * n, self.motion.damping, 0.0)  # not of balls
-        damped = change.beta_h * resist[:, None]
-        weight = mass * (1.0 + damped[:, 0]) / change.beta_h**2
-        aim = (change.x_hat + damped * change.X) / (1.0 + damped)
+        mass, n, dead = self.masses(asked), len(asked.mass), self.weights(asked)
         force = asked.force.copy()
         for wind, blown in asked.winds:
             own, block = relative_wind(wind, blown, now.v[:n])
             force += own - (block @ now.v[:n, :, None])[:, :, 0] - (0.0 if wind.speed == 0.0 else blown)
+        none = np.zeros((len(mass) - n, 3))
+        resist = np.where(np.arange(len(mass)) < 2 * n, self.motion.damping, 0.0)  # not of balls
+        step = make_step(now, before, h, mass, Forces(dead, np.concatenate([force - dead[:n], none]), None, resist))
+        damped = step.beta_h * resist[:, None]
+        weight = mass * (1.0 + damped[:, 0]) / step.beta_h**2
+        aim = (step.x_hat + damped * step.X) / (1.0 + damped)
         end = step_rings(frame.rings, weight, aim, force, asked.held, asked.at, walls=(*asked.walls, *self.bodies))
         rings = end.rings
         if rings.status == "converged":
@@ -153,19 +154,12 @@ class MovingRings(Mover[RingFrame, RingScene]):
                 )
             half = self.next_frame(frame, before, 0.5 * h, halvings - 1)
             return self.next_frame(half, now, 0.5 * h, halvings - 1)
-        none, dead = np.zeros((len(mass) - n, 3)), self.weights(asked)
-        forces = Forces(dead, np.concatenate([force - dead[:n], none]), None, resist)
         way = [new.offset - old.offset for new, old in zip(asked.walls, frame.asked.walls, strict=True)]
         pushed = zip(rings.wall_force, asked.walls, way, strict=False)
-        x = ring_places(rings)
         moved = sum(float(push @ wall.unit) * d for push, wall, d in pushed)
-        worked = Worked(np.concatenate([rings.reaction, none]), end.pushes, moved=moved, touched=end.touched)
-        account = next_account(frame.account, mass, change, now, forces, x, worked)
-        moment = Moment(now.t + h, x, change.velocity(x))
-        back = rebound(mass, change, forces, x, worked)
-        return RingFrame(
-            moment=moment, account=account, rebound=back, iterations=rings.iterations, rings=rings, asked=asked
-        )
+        supports = np.concatenate([rings.reaction, none])
+        told = StepEnd(ring_places(rings), supports, end.pushes, moved=moved, touched=end.touched)
+        return RingFrame(**step.finish(frame.account, told), iterations=rings.iterations, rings=rings, asked=asked)
 
     def _check_balls(self, rings: FiniteSolution, t: float) -> None:
         """Failed where a ball would meet what balls beside a curtain by a law meet, and those beside rings do not."""

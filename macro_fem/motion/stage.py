@@ -9,9 +9,9 @@ import numpy as np
 from scipy import sparse
 
 from macro_fem.drag import senses, wind_density, with_wind
-from macro_fem.fem.assembly import load_vector
+from macro_fem.fem.assembly import gradient, load_vector
 from macro_fem.fem.discretization import Points
-from macro_fem.motion.step import Forces, Moment, Stepped
+from macro_fem.motion.step import Forces, Moment
 from macro_fem.problem import CurtainProblem, placed_obstacles, tangent_walls, touching_walls
 from macro_fem.scene.loads import BREEZE, PER_MM2, areal_mass, bar_masses, breeze, nodal_forces
 from macro_fem.scene.moving import Ball, at_time
@@ -68,9 +68,10 @@ def weights_of(problem: CurtainProblem, balls: tuple[Ball, ...]) -> Array:
     return np.vstack([own, *[ball.mass * g[None] for ball in balls]])
 
 
-def stored_energy(problem: CurtainProblem, F: Array) -> float:
-    """The stored energy of an elastic curtain, N mm."""
-    return float(problem.fem.disc.weight @ problem.elastic_law.response(green_strain(F)).energy)
+def stored_energy(problem: CurtainProblem, x: Array) -> float:
+    """The stored energy of an elastic curtain with its nodes, and maybe more, at x (n, d), N mm."""
+    E = green_strain(gradient(problem.disc, x))
+    return float(problem.disc.weight @ problem.elastic_law.response(E).energy)
 
 
 def forces_at(problem: CurtainProblem, balls: tuple[Ball, ...], now: Moment, damping: float) -> Forces:
@@ -193,12 +194,13 @@ class Contacts:
                     "it farther away"
                 )
 
-    def work(self, end: Stepped, x: Array) -> tuple[float, float]:
-        """Pushes times the moves of obstacles along them, and pushes times the gaps at the start x (n, d), N mm."""
+    def work(self, walls: Walls, force: Array, x: Array) -> tuple[float, float]:
+        """Pushes `force` (m,) of tangent half-spaces times the moves of obstacles along them, and times the gaps at the
+        start x (n, d), N mm."""
         moved, touched = 0.0, 0.0
-        for number in np.unique(end.walls.owner):
-            which = np.flatnonzero(end.walls.owner == number)
-            own, push = end.walls.take(which), end.result.wall_forces[which]
+        for number in np.unique(walls.owner):
+            which = np.flatnonzero(walls.owner == number)
+            own, push = walls.take(which), force[which]
             if number < 0:
                 touched += float(push @ (np.linalg.norm(own.at.places(x), axis=1) - own.offset))
                 continue

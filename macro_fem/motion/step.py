@@ -34,11 +34,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from homogenize import MembraneLaw
+from macro_fem.fem.assembly import internal_force
 from macro_fem.fem.supported import SupportedFem
+from macro_fem.problem import CurtainProblem
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.path import Inertia, PathOptions, PathResult, Terms, times
@@ -53,44 +55,6 @@ class Moment:
     t: float
     x: Array
     v: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Difference:
-    """The differences of one step: h and beta h in s, X (n, d) in mm and V (n, d) in mm/s, see above."""
-
-    h: float
-    beta_h: float
-    X: Array
-    V: Array
-
-    @property
-    def x_hat(self) -> Array:
-        """X + beta h V (n, d): where nodes would go without forces, mm."""
-        return self.X + self.beta_h * self.V
-
-    def velocity(self, x: Array) -> Array:
-        """v+ (n, d) of positions x (n, d), mm/s."""
-        return (x - self.X) / self.beta_h
-
-    def acceleration(self, x: Array) -> Array:
-        """a+ (n, d) of positions x (n, d), mm/s2."""
-        return (x - self.x_hat) / self.beta_h**2
-
-
-def difference(now: Moment, before: Moment | None, h: float) -> Difference:
-    """The differences of a step h from `now`: Euler's without a moment before, else BDF2's.
-
-    >>> start = Moment(0.0, np.zeros((1, 2)), np.ones((1, 2)))
-    >>> difference(start, None, 0.5).x_hat.tolist()
-    [[0.5, 0.5]]
-    """
-    if before is None:
-        return Difference(h, h, now.x, now.v)
-    w = h / (now.t - before.t)
-    beta = (1.0 + w) / (1.0 + 2.0 * w)
-    own, old = beta * (1.0 + w), beta * w * w / (1.0 + w)
-    return Difference(h, beta * h, own * now.x - old * before.x, own * now.v - old * before.v)
 
 
 def predicted(now: Moment, before: Moment | None, h: float) -> Array:
@@ -117,77 +81,6 @@ class Forces:
         return self.live if self.drag is None else self.live - times(self.drag, v)
 
 
-@dataclass(frozen=True, eq=False)
-class Moving:
-    """The discrete curtain that moves: masses (n,) in N s2/mm of all nodes, the law, its compliance (3, 3), its size in
-    mm."""
-
-    fem: SupportedFem
-    law: MembraneLaw
-    mass: Array
-    compliance: Array
-    size: float
-
-
-Tangents = Callable[[Array], Walls]
-"""Half-spaces of obstacles and bodies that touch them where they are closest to nodes at x (n, d)."""
-ROUNDS, SETTLED = 8, 1e-4
-"""How often tangent half-spaces are found anew at most, and reactions that may still turn, over all forces."""
-GAP, FIRST_GAP = 1e-10, 1.0
-"""Relative gap that a step is solved to, and that of its first state in energy scales."""
-
-
-@dataclass(frozen=True, eq=False)
-class Stepped:
-    """The end of a step: positions x (n, d), the solver's record, its half-spaces."""
-
-    x: Array
-    result: PathResult
-    walls: Walls
-
-    @property
-    def pushes(self) -> Array:
-        """Forces of half-spaces on all nodes (n, d), N."""
-        return self.walls.nodal(self.result.wall_forces, len(self.x))
-
-
-def solve_step(
-    moving: Moving, change: Difference, forces: Forces, x: Array, cones: Cones | None, tangents: Tangents
-) -> Stepped:
-    """The end of a step from positions x (n, d), by the half-spaces `cones` of the step before."""
-    fem, inertia = moving.fem, inertia_of(moving, change, forces)
-    load = fem.gather(forces.dead + forces.live)
-    path = PathOptions(gap=GAP, violation=1e-9, cones=cones, drawn=False, first_gap=FIRST_GAP)
-    place, walls = x, tangents(x)
-    for rounds in range(1, ROUNDS + 1):
-        terms = Terms(moving.compliance, walls=walls, inertia=inertia)
-        result = solve_path(fem, moving.law, load, fem.unknowns(place), moving.size, path, terms)
-        place = fem.positions(result.z)
-        if not len(walls) or not result.converged or rounds == ROUNDS:
-            break
-        anew = tangents(place)
-        turned = float(result.wall_forces @ np.linalg.norm(anew.normal - walls.normal, axis=1))
-        turned /= float(np.abs(result.wall_forces).sum() + np.abs(load).sum() + inertia.force_scale)
-        if turned < SETTLED:
-            break
-        walls, path = anew, replace(path, cones=result.cones)
-    return Stepped(place, result, walls)
-
-
-def inertia_of(moving: Moving, change: Difference, forces: Forces) -> Inertia:
-    """The quadratic term of a step: W x_hat = M (X + beta h V) / (beta h)^2 + (damping M + C) X / (beta h)."""
-    d, mass = change.X.shape[1], moving.mass
-    m, b = mass / change.beta_h**2, 1.0 / change.beta_h
-    resist = (b * forces.damping * mass)[:, None, None] * np.eye(d)
-    if forces.drag is not None:
-        resist = resist + b * forces.drag
-    W = m[:, None, None] * np.eye(d) + resist
-    aim = m[:, None] * change.x_hat + times(resist, change.X)
-    x_hat: Array = np.linalg.solve(W, aim[:, :, None])[:, :, 0].astype(float)
-    momentum = float((mass[:, None] * np.abs(change.V)).sum()) / change.beta_h
-    return Inertia(moving.fem, W, x_hat, momentum, kinetic_energy(mass, change.V))
-
-
 @dataclass(frozen=True)
 class Account:
     """Energies at one moment and sums of work and losses since the start, N mm."""
@@ -212,63 +105,154 @@ def kinetic_energy(mass: Array, v: Array) -> float:
     return 0.5 * float((mass[:, None] * v * v).sum())
 
 
-def support_forces(moving: Moving, change: Difference, forces: Forces, end: Stepped, inner: Array) -> Array:
-    """Forces (n, d) of the supports on the curtain, N: what else M a+ takes, at components that no unknown moves.
-
-    inner (n, d): B^T (w P+).
-    """
-    v = change.velocity(end.x)
-    rest = moving.mass[:, None] * change.acceleration(end.x) + (forces.damping * moving.mass)[:, None] * v + inner
-    return np.where(moving.fem.held, rest - forces.dead - forces.live_at(v) - end.pushes, 0.0)
-
-
 @dataclass(frozen=True, eq=False)
-class Worked:
-    """Forces of supports and of contacts, `pushes` (n, d), in N, and what they and the law have done in a step, N mm.
+class StepEnd:
+    """What a step ends in: positions x (n, d) in mm, forces (n, d) in N, and what they and the law have done, N mm.
 
-    inner: sum of w P+:(F+ - F_n); stored: the change of Psi of an elastic law, None of a rigid one; moved: pushes times
-    the moves of obstacles along them; touched: pushes times the gaps at x_n.
+    supports, pushes: of supports and of contacts; inner: B^T (w P+) of the law, which resists. stored: Psi+ of an
+    elastic law, None of a rigid one; moved: pushes times the moves of obstacles along them; touched: pushes times the
+    gaps at x_n.
     """
 
+    x: Array
     supports: Array
     pushes: Array
-    inner: float = 0.0
+    inner: Array | float = 0.0
     stored: float | None = None
     moved: float = 0.0
     touched: float = 0.0
 
 
-def rebound(mass: Array, change: Difference, forces: Forces, x: Array, worked: Worked) -> float:
-    """What contacts and a rigid law would do in one more such step at the last velocities, N mm: about 0 where what
-    touches or is taut stays so, positive where it leaves while it is still pushed."""
-    v = change.velocity(x)
-    push = worked.pushes
-    if worked.stored is None:
-        push = mass[:, None] * (change.acceleration(x) + np.reshape(forces.damping, (-1, 1)) * v) - worked.supports
-        push = push - forces.dead - forces.live_at(v)
-    return change.h * float((push * v).sum()) - worked.moved
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A step of h s from `now` of nodes of masses (n,) in N s2/mm, under `forces` at its end, by its differences: beta
+    h in s, X (n, d) in mm and V (n, d) in mm/s, see above."""
+
+    now: Moment
+    h: float
+    mass: Array
+    forces: Forces
+    beta_h: float
+    X: Array
+    V: Array
+
+    @property
+    def x_hat(self) -> Array:
+        """X + beta h V (n, d): where nodes would go without forces, mm."""
+        return self.X + self.beta_h * self.V
+
+    def velocity(self, x: Array) -> Array:
+        """v+ (n, d) of positions x (n, d), mm/s."""
+        return (x - self.X) / self.beta_h
+
+    @property
+    def resist(self) -> Array:
+        """Damping times the mass (n, 1), N s/mm."""
+        return (self.forces.damping * self.mass)[:, None]
+
+    def momentum_rate(self, x: Array) -> Array:
+        """M a+ (n, d) of positions x (n, d), N."""
+        return self.mass[:, None] * (x - self.x_hat) / self.beta_h**2
+
+    def unbalanced(self, x: Array) -> Array:
+        """M a+ and damping less loads (n, d) at positions x (n, d), N: what supports, contacts and the law make up."""
+        v = self.velocity(x)
+        return self.momentum_rate(x) + self.resist * v - self.forces.dead - self.forces.live_at(v)
+
+    def inertia(self, fem: SupportedFem) -> Inertia:
+        """The quadratic term: W x_hat = M (X + beta h V) / (beta h)^2 + (damping M + C) X / (beta h)."""
+        d, m, b = self.X.shape[1], self.mass[:, None] / self.beta_h**2, 1.0 / self.beta_h
+        resist = b * self.resist[:, :, None] * np.eye(d)
+        if self.forces.drag is not None:
+            resist = resist + b * self.forces.drag
+        W = m[:, :, None] * np.eye(d) + resist
+        aim = m * self.x_hat + times(resist, self.X)
+        x_hat: Array = np.linalg.solve(W, aim[:, :, None])[:, :, 0].astype(float)
+        momentum = b * float((self.mass[:, None] * np.abs(self.V)).sum())
+        return Inertia(fem, W, x_hat, momentum, kinetic_energy(self.mass, self.V))
+
+    def finish(self, last: Account, end: StepEnd) -> dict[str, Any]:
+        """Of a frame the moment, the account and the rebound, given the account at the start of the step.
+
+        The rebound, in N mm, is what contacts and a rigid law would do in one more such step at the last velocities:
+        about 0 where what touches or is taut stays so, positive where it leaves while it is still pushed.
+        """
+        dx, v, is_rigid = end.x - self.now.x, self.velocity(end.x), end.stored is None
+        kinetic, damped = kinetic_energy(self.mass, v), self.h * float((self.resist * v * v).sum())
+        dashpot, inner = float((self.resist * v * dx).sum()), float((end.inner * dx).sum())
+        contact = end.moved - float((end.pushes * dx).sum())
+        stored = 0.0 if end.stored is None else end.stored - last.stored
+        account = Account(
+            kinetic=kinetic,
+            potential=last.potential - float((self.forces.dead * dx).sum()),
+            stored=last.stored + stored,
+            work=last.work + float(((self.forces.live_at(v) + end.supports) * dx).sum()) + end.moved,
+            lost_by_scheme=last.lost_by_scheme
+            + float((self.momentum_rate(end.x) * dx).sum())
+            - (kinetic - kinetic_energy(self.mass, self.now.v))
+            + (dashpot - damped)
+            + (contact - end.touched)
+            + (0.0 if is_rigid else inner - stored),
+            lost_by_locking=last.lost_by_locking + end.touched + (inner if is_rigid else 0.0),
+            lost_by_damping=last.lost_by_damping + damped,
+        )
+        push = end.pushes - (end.inner if is_rigid else 0.0)
+        rebound = self.h * float((push * v).sum()) - end.moved
+        return {"moment": Moment(self.now.t + self.h, end.x, v), "account": account, "rebound": rebound}
 
 
-def next_account(
-    last: Account, mass: Array, change: Difference, now: Moment, forces: Forces, x: Array, worked: Worked
-) -> Account:
-    """The account after a step of masses (n,) from `now` to positions x (n, d)."""
-    dx, v, a = x - now.x, change.velocity(x), change.acceleration(x)
-    kinetic, resist = kinetic_energy(mass, v), forces.damping * mass
-    damped = 2.0 * change.h * kinetic_energy(resist, v)
-    dashpot = float((resist[:, None] * v * dx).sum())
-    contact = worked.moved - float((worked.pushes * dx).sum())
-    return Account(
-        kinetic=kinetic,
-        potential=last.potential - float((forces.dead * dx).sum()),
-        stored=last.stored + (worked.stored or 0.0),
-        work=last.work + float(((forces.live_at(v) + worked.supports) * dx).sum()) + worked.moved,
-        lost_by_scheme=last.lost_by_scheme
-        + float((mass[:, None] * a * dx).sum())
-        - (kinetic - kinetic_energy(mass, now.v))
-        + (dashpot - damped)
-        + (contact - worked.touched)
-        + (0.0 if worked.stored is None else worked.inner - worked.stored),
-        lost_by_locking=last.lost_by_locking + worked.touched + (worked.inner if worked.stored is None else 0.0),
-        lost_by_damping=last.lost_by_damping + damped,
-    )
+def make_step(now: Moment, before: Moment | None, h: float, mass: Array, forces: Forces) -> Step:
+    """The step of h s from `now`: Euler's without a moment before, else BDF2's.
+
+    >>> start, none = Moment(0.0, np.zeros((1, 2)), np.ones((1, 2))), np.zeros((1, 2))
+    >>> make_step(start, None, 0.5, np.ones(1), Forces(none, none)).x_hat.tolist()
+    [[0.5, 0.5]]
+    """
+    if before is None:
+        return Step(now, h, mass, forces, h, now.x, now.v)
+    w = h / (now.t - before.t)
+    beta = (1.0 + w) / (1.0 + 2.0 * w)
+    own, old = beta * (1.0 + w), beta * w * w / (1.0 + w)
+    return Step(now, h, mass, forces, beta * h, own * now.x - old * before.x, own * now.v - old * before.v)
+
+
+Tangents = Callable[[Array], Walls]
+"""Half-spaces of obstacles and bodies that touch them where they are closest to nodes at x (n, d)."""
+ROUNDS, SETTLED = 8, 1e-4
+"""How often tangent half-spaces are found anew at most, and reactions that may still turn, over all forces."""
+GAP, FIRST_GAP = 1e-10, 1.0
+"""Relative gap that a step is solved to, and that of its first state in energy scales."""
+
+
+def solve_step(
+    problem: CurtainProblem, fem: SupportedFem, step: Step, cones: Cones | None, tangents: Tangents
+) -> tuple[PathResult, Walls]:
+    """The solver's record of a step of the curtain of a problem, with the nodes of `fem`, by the half-spaces `cones` of
+    the step before; and half-spaces of obstacles."""
+    law, inertia, compliance = problem.law, step.inertia(fem), np.zeros((3, 3))
+    if problem.scene.solver.is_elastic:
+        law, compliance = problem.elastic_law, problem.elastic_law.compliance
+    load = fem.gather(step.forces.dead + step.forces.live)
+    path = PathOptions(gap=GAP, violation=1e-9, cones=cones, drawn=False, first_gap=FIRST_GAP)
+    place, walls = step.now.x, tangents(step.now.x)
+    for rounds in range(1, ROUNDS + 1):
+        terms = Terms(compliance, walls=walls, inertia=inertia)
+        result = solve_path(fem, law, load, fem.unknowns(place), problem.mesh.size, path, terms)
+        place = fem.positions(result.z)
+        if not len(walls) or not result.converged or rounds == ROUNDS:
+            break
+        anew = tangents(place)
+        turned = float(result.wall_forces @ np.linalg.norm(anew.normal - walls.normal, axis=1))
+        turned /= float(np.abs(result.wall_forces).sum() + np.abs(load).sum() + inertia.force_scale)
+        if turned < SETTLED:
+            break
+        walls, path = anew, replace(path, cones=result.cones)
+    return result, walls
+
+
+def end_of(fem: SupportedFem, step: Step, result: PathResult, walls: Walls) -> StepEnd:
+    """The end of the step of a rigid curtain, without what pushes have done."""
+    x = fem.positions(result.z)
+    pushes, inner = walls.nodal(result.wall_forces, len(x)), internal_force(fem.disc, result.P)
+    supports = np.where(fem.held, step.unbalanced(x) + inner - pushes, 0.0)
+    return StepEnd(x, supports, pushes, inner)

@@ -1,52 +1,47 @@
 """One implicit step of a curtain: momentum, the energy account, rest, free fall, and the matrix of loose bodies."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from scipy import sparse
 
-from homogenize import default_law, elastic_law
-from macro_fem.fem.assembly import internal_force, load_vector
-from macro_fem.fem.discretization import Points, discretize
+from macro_fem.fem.assembly import load_vector
+from macro_fem.fem.discretization import Points
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
-from macro_fem.motion.step import (
-    Account,
-    Forces,
-    Moment,
-    Moving,
-    Worked,
-    difference,
-    kinetic_energy,
-    next_account,
-    solve_step,
-    support_forces,
-)
-from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.motion.stage import stored_energy
+from macro_fem.motion.step import Account, Forces, Moment, end_of, kinetic_energy, make_step, solve_step
+from macro_fem.problem import CurtainProblem
 from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.cones import green_strain
 from macro_fem.solvers.path import Inertia
 from macro_fem.solvers.walls import WallRows, Walls
-from tests.test_macro_fem.sheets import sheet
+from tests.test_macro_fem.sheets import posed, sheet
 
 BALL = 0.5e-3
 """Mass in N s2/mm of the ball: 0.5 kg."""
 
 
-def free_sheet(
-    cells: int = 5, side: float = 300.0, *, balls: int = 0, elastic: bool = False
-) -> tuple[Moving, np.ndarray]:
-    """A square sheet that nothing holds, with balls of 0.5 kg, and its nodes in the reference state (n, 3)."""
-    law = elastic_law(default_law()) if elastic else default_law()
-    scene = read_scene(sheet(side, side, cells, {"kind": "top"}))
-    mesh = build_mesh(scene, law.cell)
-    disc = discretize(mesh.mesh, "P1")
+def free_sheet(cells: int = 5, side: float = 300.0, *, balls: int = 0, elastic: bool = False):
+    """A square sheet that nothing holds, with balls of 0.5 kg: its problem, discretisation and masses, and its nodes in
+    the reference state (n, 3)."""
+    scene = read_scene(sheet(side, side, cells, {"kind": "top"}, solver={"kind": "elastic"} if elastic else {}))
+    problem = posed(scene)
+    disc = problem.disc
     n = disc.n_nodes
     fem = with_loose_nodes(SupportedFem(disc, np.zeros((n, 3)), np.ones(3 * n, bool)), balls)
-    mass = 1e-9 * law.cell.areal_mass_kg_per_m2 * load_vector(disc, np.array([1.0]))[:, 0]
+    mass = 1e-9 * problem.law.cell.areal_mass_kg_per_m2 * load_vector(disc, np.array([1.0]))[:, 0]
     mass = np.append(mass, np.full(balls, BALL))
-    compliance = law.compliance if elastic else np.zeros((3, 3))
-    return Moving(fem, law, mass, compliance, mesh.size), np.column_stack([disc.nodes, np.zeros(n)])
+    return Moving(problem, fem, mass), np.column_stack([disc.nodes, np.zeros(n)])
+
+
+class Moving(NamedTuple):
+    """A curtain that moves: its problem, its discretisation with balls, and masses (n,) in N s2/mm."""
+
+    problem: CurtainProblem
+    fem: SupportedFem
+    mass: np.ndarray
 
 
 def untouched(x: np.ndarray) -> Walls:
@@ -56,26 +51,21 @@ def untouched(x: np.ndarray) -> Walls:
 def advance(
     moving: Moving, moments: list[Moment], forces: Forces, h: float, accounts: list[Account], tangents=untouched
 ):
-    """The next moment and account, appended; the step."""
+    """The next moment and account, appended; the end of the step."""
+    problem, fem, mass = moving
     now, before = moments[-1], moments[-2] if len(moments) > 1 else None
-    change = difference(now, before, h)
-    end = solve_step(moving, change, forces, now.x, None, tangents)
-    assert end.result.converged, end.result.message
-    F = [moving.fem.gradient(moving.fem.unknowns(x)) for x in (now.x, end.x)]
-    P, w = end.result.P, moving.fem.disc.weight
-    stored = None
-    if moving.compliance.any():
-        psi = [moving.law.response(green_strain(one)).energy for one in F]
-        stored = float(w @ (psi[1] - psi[0]))
+    step = make_step(now, before, h, mass, forces)
+    result, walls = solve_step(problem, fem, step, None, tangents)
+    assert result.converged, result.message
+    end = end_of(fem, step, result, walls)
+    stored = stored_energy(problem, end.x) if problem.scene.solver.is_elastic else None
     touched = 0.0
-    if len(end.walls):
+    if len(walls):
         n = len(now.x) - 1
-        touched = float(end.result.wall_forces @ (np.linalg.norm(now.x[:n] - now.x[n], axis=1) - end.walls.offset))
-    held = support_forces(moving, change, forces, end, internal_force(moving.fem.disc, P))
-    worked = {"inner": float((w[:, None, None] * P * (F[1] - F[0])).sum()), "stored": stored, "touched": touched}
-    last = accounts[-1]
-    accounts.append(next_account(last, moving.mass, change, now, forces, end.x, Worked(held, end.pushes, **worked)))
-    moments.append(Moment(now.t + h, end.x, change.velocity(end.x)))
+        touched = float(result.wall_forces @ (np.linalg.norm(now.x[:n] - now.x[n], axis=1) - walls.offset))
+    told = step.finish(accounts[-1], replace(end, stored=stored, touched=touched))
+    accounts.append(told["account"])
+    moments.append(told["moment"])
     return end
 
 
@@ -198,18 +188,18 @@ def test_an_answer_of_a_step_has_a_gap_and_no_better_neighbour():
     rng = np.random.default_rng(5)
     moving, X = free_sheet(cells=3)
     v = rng.normal(scale=2000.0, size=X.shape)
-    change = difference(Moment(0.0, X, v), None, 0.02)
-    forces = Forces(np.zeros_like(X), np.zeros_like(X))
-    end = solve_step(moving, change, forces, X, None, untouched)
-    assert 0.0 <= end.result.evidence.gap < 1e-8
+    step = make_step(Moment(0.0, X, v), None, 0.02, moving.mass, Forces(np.zeros_like(X), np.zeros_like(X)))
+    result, _ = solve_step(moving.problem, moving.fem, step, None, untouched)
+    end = moving.fem.positions(result.z)
+    assert 0.0 <= result.evidence.gap < 1e-8
 
     def value(x):
-        return 0.5 * float((moving.mass[:, None] * (x - change.x_hat) ** 2).sum()) / change.beta_h**2
+        return 0.5 * float((moving.mass[:, None] * (x - step.x_hat) ** 2).sum()) / step.beta_h**2
 
     better = 0
     for _ in range(200):
-        x = end.x + rng.uniform(0.0, 1.0) * (X * rng.uniform(0.5, 1.0) - end.x)
+        x = end + rng.uniform(0.0, 1.0) * (X * rng.uniform(0.5, 1.0) - end)
         x = x + rng.normal(scale=3.0, size=x.shape)
         E = green_strain(moving.fem.gradient(moving.fem.unknowns(x)))
-        better += bool(moving.law.cut(E).violation.max() <= 0.0 and value(x) < value(end.x))
+        better += bool(moving.problem.law.cut(E).violation.max() <= 0.0 and value(x) < value(end))
     assert not better
