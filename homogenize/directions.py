@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, Delaunay, QhullError
 
 from rve.common import Array, InputError
-from rve.common.tensor import disc, eigenvalues, mirror, trace
+from rve.common.tensor import IDENTITY, disc, eigenvalues, mirror, trace
 
 SAME = 1e-9
 """Loads in the disc closer than this are one load."""
@@ -90,11 +90,9 @@ def tensile_part(S: Array) -> Array:
            [0.5, 0.5, 0.5]])
     """
     low, high = eigenvalues(S)
-    mean, half = 0.5 * (low + high), 0.5 * (high - low)
     top, bottom = np.maximum(high, 0.0), np.maximum(low, 0.0)
-    share = 0.5 * (top - bottom) / np.where(half > 0.0, half, 1.0)
-    middle = 0.5 * (top + bottom)
-    return np.stack([middle + share * (S[:, 0] - mean), share * S[:, 1], middle + share * (S[:, 2] - mean)], axis=1)
+    share = (top - bottom) / np.where(high > low, high - low, 1.0)
+    return share[:, None] * S + (bottom - share * low)[:, None] * IDENTITY
 
 
 def hull_of(S: Array, is_mirrored: bool) -> Array:

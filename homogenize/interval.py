@@ -54,9 +54,7 @@ def law_interval(
 ) -> LawInterval:
     """Inner and outer law of rows (n >= 4), and between them `law`, by default the inner one.
 
-    `strength` is that of the rings, which the inner law holds.
-
-    InputError if the rows do not bound the strain under tension.
+    `strength`: of the rings, for the inner law. InputError if the rows do not bound the strain under tension.
 
     >>> found = read_law_interval()
     >>> bool(found.width(np.array([[0.5, 0.0, 0.5]]))[0] < 1e-3)
@@ -99,7 +97,6 @@ def interval_of_law(law: StoredLaw, source: str) -> LawInterval | None:
 
     InputError names `source` if the rows are none.
     """
-    rows = rows_from_provenance(law.provenance, source) if isinstance(law, PolyhedralLaw) else None
-    if rows is None or not isinstance(law, PolyhedralLaw):
+    if not isinstance(law, PolyhedralLaw) or (rows := rows_from_provenance(law.provenance, source)) is None:
         return None
     return replace(law_interval(rows, law, law.stiffness, law.cell, law.strength), source=source)

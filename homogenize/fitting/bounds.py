@@ -15,8 +15,8 @@ from homogenize.fitting.rows import LockedRows, with_mirror
 from homogenize.laws.geometry import fibres, highest, outer_vertices
 from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_law
 from homogenize.laws.protocol import CellInfo
-from rve.common import Array
-from rve.common.tensor import WEIGHT, eigenvalues, trace
+from rve.common import Array, Index
+from rve.common.tensor import WEIGHT, disc, double_dot, eigenvalues, from_disc, trace
 
 RIM = 720
 """Loads of rank one of the inner law."""
@@ -62,8 +62,21 @@ def inner_law(rows: LockedRows, stiffness: Array | None = None, cell: CellInfo |
     from scipy.spatial import ConvexHull
 
     E = with_mirror(rows).E
-    facets = ConvexHull(E, qhull_options="QJ").equations[:, :3] / WEIGHT
-    facets = facets[trace(facets) > 0.0]
+    hull = ConvexHull(E, qhull_options="QJ")
+    facets = hull.equations[:, :3] / WEIGHT
     facets = facets[eigenvalues(facets)[0] >= 0.0]
-    S = np.vstack([facets / trace(facets)[:, None], fibres(RIM)])
+    S = np.vstack([facets / trace(facets)[:, None], fibres(RIM), rim_kinks(E, hull.simplices)])
     return polyhedral_law(S, highest(S, E), stiffness, cell)
+
+
+def rim_kinks(E: Array, triangles: Index) -> Array:
+    """Loads of rank one (k, 3) under which two corners of a triangle (m, 3) of the hull of strains E (n, 3) do the same
+    work, and none more: h has a kink there, which loads beside it miss."""
+    both_ways = [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]  # a side has two such loads
+    ends = np.unique(triangles[:, both_ways].reshape(-1, 2), axis=0)
+    first, way = E[ends[:, 0]], E[ends[:, 1]] - E[ends[:, 0]]
+    x, y = disc(way).T
+    with np.errstate(invalid="ignore"):  # nan where no load of rank one does no work along the side
+        angle = np.arctan2(y, x) + np.arccos(-trace(way) / np.hypot(x, y))  # 2 S:way = trace(way) + disc(S).disc(way)
+    S = from_disc(np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    return S[double_dot(S, first) >= highest(S, E) - 1e-12]

@@ -116,8 +116,7 @@ def _with_rows(found: LockedStrain, rows: LockedRows, alpha: Array, beta: Array)
     alone = both.unique[row]
     low, high = np.empty(s.shape), np.empty(s.shape)
     open_ = np.setdiff1d(np.arange(len(s)), at[alone])
-    bounds = strain_bounds(rows, s[open_])
-    low[open_], high[open_] = bounds.E_min, bounds.E_max
+    low[open_], high[open_] = strain_bounds(rows, s[open_])
     low[at[alone]] = high[at[alone]] = both.E[row[alone]]
     E, S, residual, status = found.E.copy(), found.S.copy(), found.residual.copy(), found.status.copy()
     unique = found.unique & ((high - low).max(axis=1) < WIDTH)

@@ -39,14 +39,6 @@ ROUND_OFF = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class StrainBounds:
-    """The locked strain lies between E_min and E_max (n, 3), component by component; nan where no strain is left."""
-
-    E_min: Array
-    E_max: Array
-
-
-@dataclass(frozen=True, eq=False)
 class _Known:
     """Rows and mirror images: weighted loads S (k, 3), `top` (k,) = 1 + 2 h, weighted strains E (j, 3), and `slack`,
     the amount by which the rows contradict each other. Fewer rows give wider bounds, never wrong ones."""
@@ -89,8 +81,9 @@ class _Sizes(Rows):
         return np.asarray(np.log(self.most / self.least))
 
 
-def strain_bounds(rows: LockedRows, s: Array) -> StrainBounds:
-    """Bounds of the locked strain under the Cauchy loads s (n, 3) from the rows of a table and their mirror images.
+def strain_bounds(rows: LockedRows, s: Array) -> tuple[Array, Array]:
+    """Least and largest components (n, 3) each of the locked strain under the Cauchy loads s (n, 3), from the rows of a
+    table and their mirror images; nan where no strain is left.
 
     They hold if the locked strains lie on one convex set; rows that contradict each other by some strain widen them by
     as much. Under a load of rank one they hold all strains that the rows allow, down to cells drawn to a line.
@@ -99,7 +92,7 @@ def strain_bounds(rows: LockedRows, s: Array) -> StrainBounds:
     slack = -normality(rows).slack
     known = _Known(both.S * WEIGHT, 1.0 + 2.0 * (both.h + slack), both.E * WEIGHT, slack)
     ends = np.array([_bounds_under(load, known) for load in np.asarray(s, float)]).reshape(-1, 2, 3)
-    return StrainBounds(ends[:, 0], ends[:, 1])
+    return ends[:, 0], ends[:, 1]
 
 
 def _bounds_under(s: Array, known: _Known) -> tuple[Array, Array]:
