@@ -16,7 +16,7 @@ import numpy as np
 from homogenize import MembraneLaw
 from macro_fem.answer import RECORD, read_job
 from macro_fem.motion.curtain import MovingCurtain
-from macro_fem.motion.pace import COLUMNS, Frame, Mover, Pace, Run
+from macro_fem.motion.pace import COLUMNS, Frame, Mover, Run
 from macro_fem.motion.rings import MovingRings
 from macro_fem.motion.step import Account, Moment
 from macro_fem.output.files import collection
@@ -172,13 +172,13 @@ def account_error(rows: Array) -> float:
 
 def _write_kept(path: Path, mover: AnyMover, of: str, frames: Sequence[Frame], rows: Array) -> None:
     """Write what a run goes on from: frames, the last one of the run at the end, and the rows of all steps."""
-    pace = frames[-1].pace
-    kept: dict[str, Any] = {"of": np.array(of), "rows": rows, "pace": np.array([pace.h, pace.most, pace.is_euler])}
+    end = frames[-1]
+    kept: dict[str, Any] = {"of": of, "rows": rows, "h": end.h, "most": end.most, "is_euler": end.is_euler}
     for k, frame in enumerate(frames):
         told = vars(frame.moment) | {"account": astuple(frame.account)} | mover.pack(frame)
         kept |= {f"{name}_{k}": value for name, value in told.items()}
-    if pace.last is not None:
-        kept |= {f"{name}_last": value for name, value in vars(pace.last).items()}
+    if end.last is not None:
+        kept |= {f"{name}_last": value for name, value in vars(end.last).items()}
     with atomic_path(path) as temporary:
         np.savez_compressed(temporary, **kept)
 
@@ -194,21 +194,21 @@ def read_kept(path: Path, mover: AnyMover, of: str) -> tuple[list[Any], list[Any
     except (OSError, InputError) as error:
         raise InputError(f"--continue: {path} is not what a run has kept: run again without it") from error
     with np.load(path, allow_pickle=False) as file:
-        kept = dict(file)
-    if str(kept["of"]) != of:
+        kept = {name: one if one.ndim else one.item() for name, one in file.items()}
+    if kept.pop("of") != of:
         raise InputError(f"--continue: {path} is of another scene or law: only [motion] duration may differ")
-    rows, (h, most, is_euler) = list(kept["rows"]), kept["pace"].tolist()
+    rows, pace = list(kept.pop("rows")), {name: kept.pop(name) for name in ("h", "most", "is_euler")}
     parts: dict[str, dict[str, Any]] = {}
-    for name in kept.keys() - {"of", "rows", "pace"}:
+    for name, one in kept.items():
         own, _, number = name.rpartition("_")
-        parts.setdefault(number, {})[own] = kept[name]
-    moments = {number: Moment(float(one.pop("t")), one.pop("x"), one.pop("v")) for number, one in parts.items()}
+        parts.setdefault(number, {})[own] = one
+    moments = {number: Moment(one.pop("t"), one.pop("x"), one.pop("v")) for number, one in parts.items()}
     last = moments.pop("last", None)
     frames = [
         mover.unpack(moments[k], Account(*parts[k].pop("account").tolist()), parts[k])
         for k in map(str, range(len(moments)))
     ]
-    frames[-1] = replace(frames[-1], pace=Pace(h, last, most, bool(is_euler)))
+    frames[-1] = replace(frames[-1], last=last, **pace)
     return frames, rows
 
 

@@ -52,27 +52,23 @@ class Failed(Exception):
         self.status = status
 
 
-@dataclass(frozen=True, eq=False)
-class Pace:
-    """How a run goes on: the next step `h`, s; the moment before the frame's own, None at the start; `most`, the
-    largest kinetic energy so far, N mm; and whether the next step is Euler's, as at the start."""
-
-    h: float
-    last: Moment | None = None
-    most: float = 0.0
-    is_euler: bool = True
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Frame(ABC):
-    """What a run knows of a moment: places and velocities, the energy account, how the run goes on from it, and of its
-    step the `rebound` in N mm and how many iterations it took."""
+    """What a run knows of a moment: places and velocities, the energy account, and of its step the `rebound` in N mm
+    and how many iterations it took.
+
+    How it goes on: the next step `h`, s, and whether that is Euler's, as at the start; the moment before its own, None
+    at the start; `most`, the largest kinetic energy so far, N mm.
+    """
 
     moment: Moment
     account: Account
-    pace: Pace = Pace(0.0)
     rebound: float = 0.0
     iterations: int = 0
+    h: float = 0.0
+    is_euler: bool = True
+    last: Moment | None = None
+    most: float = 0.0
 
     @property
     @abstractmethod
@@ -208,7 +204,7 @@ class Mover(ABC, Generic[F, A]):
         one is Euler's. Steps without a length of their own also end at the times of histories: long ones at rest would
         pass a gust unseen.
         """
-        frame = start or replace(self.first_frame(), pace=Pace(self.first_step))
+        frame = start or replace(self.first_frame(), h=self.first_step)
         end, near = self.motion.duration, self.near
         releases = {item.release for item in self.scene.support if item.release is not None}
         timed = self.scene.of(Timed) if self.motion.step is None else ()
@@ -217,15 +213,14 @@ class Mover(ABC, Generic[F, A]):
         while (t := frame.moment.t) < end - near:
             tell(f"{self.what} in motion, {t:.4g} of {end:.4g} s", t / end)
             if any(abs(t - release) <= near for release in releases):
-                frame = replace(frame, pace=replace(frame.pace, is_euler=True))
+                frame = replace(frame, is_euler=True)
             frame = self._accurate(frame, min([end, *(stop for stop in stops if stop > t + near)]) - t)
             yield frame
 
     def _accurate(self, frame: F, left: float) -> F:
         """The next frame, by a step that is as accurate as asked for and no longer than `left`, s, to the next stop."""
         motion, least = self.motion, SMALLEST * self.first_step
-        now, pace = frame.moment, frame.pace
-        h, before = pace.h, None if pace.is_euler else pace.last
+        now, h, before = frame.moment, frame.h, None if frame.is_euler else frame.last
         while True:
             h = left / max(1, np.ceil(left / h - 1e-9)) if left < 2.0 * h else h
             following = self._advanced(frame, before, h)
@@ -234,21 +229,20 @@ class Mover(ABC, Generic[F, A]):
                 following = self._advanced(frame, None, h)
             after = motion.step or h
             if motion.step is None:
-                guess = predicted(now, pace.last, h)
+                guess = predicted(now, frame.last, h)
                 away = np.sqrt(((following.moment.x - guess) ** 2).sum(axis=1).mean()) / self.size
                 factor = SAFETY * (motion.accuracy / max(away, 1e-300)) ** (1.0 / 3.0)
                 if away > motion.accuracy and h > least:
                     h = max(least, h * min(0.5, max(LEAST_CHANGE, factor)))
                     continue
                 after = max(least, h * min(MOST_CHANGE, max(LEAST_CHANGE, factor)))
-            most = max(pace.most, following.account.kinetic)
-            is_euler = is_impact or motion.scheme == "euler"
-            return replace(following, pace=Pace(after, now, most, is_euler))
+            most = max(frame.most, following.account.kinetic)
+            return replace(following, h=after, is_euler=is_impact or motion.scheme == "euler", last=now, most=most)
 
     def _advanced(self, frame: F, before: Moment | None, h: float) -> F:
         """The frame after a step h; the same one later if it is at rest and nothing else acts at the end."""
         t = frame.moment.t
-        has_moved = frame.pace.most > 0.0 or frame.moment.v.any()
+        has_moved = frame.most > 0.0 or frame.moment.v.any()
         if not has_moved and self.motion.start == "hung" and not self.scene.of(Ball):
             old, new = ((scene_at(self.scene, at).items, let_go(self.scene, at)) for at in (t, t + h))
             if old == new:
@@ -265,7 +259,7 @@ class Mover(ABC, Generic[F, A]):
         in a step of Euler's, closes none either and rebounds with a loss: there its `rebound` tells. Of Euler's own
         steps, which always lose, that counts in which nearly all motion begins.
         """
-        most, kinetic = start.pace.most, end.account.kinetic
+        most, kinetic = start.most, end.account.kinetic
         locking = end.account.lost_by_locking - start.account.lost_by_locking
         scheme = end.account.lost_by_scheme - start.account.lost_by_scheme
         lost = locking + scheme

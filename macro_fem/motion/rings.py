@@ -35,8 +35,8 @@ JUST_AFTER = 1e-9
 """Part of the duration after which supports count as those of the slack weave at the start."""
 NEAR = 1e-6
 """Rings within this part of r1 of where supports hold them are there."""
-CONTACTS = ("pairs", "normal", "force", "gap")
-"""What motion.npz has of the contacts of a frame."""
+KEPT = ("reaction", "wall_force", "kkt_residual")
+"""What motion.npz has of the rings of a frame, beside their contacts."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -193,26 +193,21 @@ class MovingRings(Mover[RingFrame, RingScene]):
         }
 
     def pack(self, frame: RingFrame) -> dict[str, Any]:
-        rings, contacts = frame.rings, frame.rings.contacts
-        told = np.array([contacts.min_gap_mm, contacts.links_intact, rings.kkt_residual], float)
-        forces = {"reaction": rings.reaction, "wall_force": rings.wall_force, "told": told}
-        return {name: getattr(contacts, name) for name in CONTACTS} | forces
+        rings = frame.rings
+        return vars(rings.contacts) | {name: getattr(rings, name) for name in KEPT}
 
     def unpack(self, moment: Moment, account: Account, kept: dict[str, Any]) -> RingFrame:
         asked, n = self.at(moment.t), len(self.first.mesh.X)
-        axes, (least, intact, residual) = moment.x[n : 2 * n], kept["told"].tolist()
-        contacts = {name: kept[name] for name in CONTACTS} | {"min_gap_mm": least, "links_intact": bool(intact)}
+        axes, slack = moment.x[n : 2 * n], self.slack
         bodies = [body.moved(place) for body, place in zip(self.bodies, moment.x[2 * n :], strict=True)]
         rings = replace(
-            self.slack,
+            slack,
             centre=moment.x[:n],
             normal=axes / np.linalg.norm(axes, axis=1)[:, None],
             load=asked.force,
-            reaction=kept["reaction"],
-            contacts=replace(self.slack.contacts, **contacts),
+            contacts=replace(slack.contacts, **{name: kept[name] for name in vars(slack.contacts)}),
             walls=(*asked.walls, *bodies),
-            wall_force=kept["wall_force"],
-            kkt_residual=residual,
+            **{name: kept[name] for name in KEPT},
         )
         return RingFrame(moment=moment, account=account, rings=rings, asked=asked)
 

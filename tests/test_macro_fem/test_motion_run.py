@@ -262,7 +262,7 @@ def thrown(tables, velocity, duration, step):
     moving = MovingCurtain(scene, default_law())
     first = moving.first_frame()
     energy = kinetic_energy(masses_of(first.problem, ()), velocity)
-    first = replace(first, account=replace(first.account, kinetic=energy), pace=pace.Pace(step))
+    first = replace(first, account=replace(first.account, kinetic=energy), h=step)
     found = moving.solve(replace(first, moment=Moment(0.0, first.moment.x, velocity)))
     assert found.status == "converged", found.message
     return found
