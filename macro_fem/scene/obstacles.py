@@ -22,13 +22,13 @@ RIGHT_ANGLE = 1e-3
 """Largest cosine of the angle between the two axes along which a sheet starts."""
 
 
-def unit(v: Vector) -> Array:
+def unit(v: Vector | Array) -> Array:
     """The unit vector (3,) along a vector of two or three components, whatever its size.
 
     >>> unit((0.0, 1e-300)).tolist()
     [0.0, 1.0, 0.0]
     """
-    way = np.array(in_3d(v)) / max(map(abs, v))  # squares of very small components would be 0
+    way = np.array(in_3d(tuple(v))) / max(map(abs, v))  # squares of very small components would be 0
     return np.asarray(way / np.linalg.norm(way))
 
 

@@ -44,19 +44,6 @@ class Sliding:
         """The components (m,) of nodal forces (n_nodes, d) along the directions."""
         return np.asarray((force[self.nodes] * self.direction).sum(axis=1))
 
-    def common(self, nodes: np.ndarray) -> Array | None:
-        """The direction (d,) in which all of these nodes slide; None if they have no single one, or some do not slide.
-
-        >>> one = Sliding(np.array([3, 5]), np.array([[0.6, 0.8, 0.0], [-0.6, -0.8, 0.0]]))
-        >>> one.common(np.array([5, 3])).tolist()
-        [0.6, 0.8, 0.0]
-        """
-        directions = self.direction[np.isin(self.nodes, nodes)]
-        if not len(nodes) or len(directions) != len(nodes):
-            return None
-        aligned = np.abs(np.abs(directions @ directions[0]) - 1.0) < PARALLEL
-        return directions[0] if aligned.all() else None
-
 
 @dataclass(frozen=True, eq=False)
 class Held:
@@ -258,13 +245,6 @@ def sliding_nodes(lines: list[tuple[np.ndarray, Array]], whole: np.ndarray, d: i
     return Sliding(free, way[free])
 
 
-def unit_direction(way: Array) -> Array:
-    """The unit vector along a vector (d,); an axis exactly where it is along one."""
-    e = way / np.linalg.norm(way)
-    axis = int(np.argmax(np.abs(e)))
-    return np.eye(len(e))[axis] if 1.0 - abs(e[axis]) < PARALLEL**2 else e
-
-
 def sloping(direction: Array) -> bool:
     """Whether a unit vector is along no axis."""
-    return bool(np.count_nonzero(direction) > 1)
+    return bool(np.count_nonzero(np.abs(direction) > PARALLEL) > 1)

@@ -12,6 +12,7 @@ from msgspec import Meta
 
 from macro_fem.scene import sites, tables
 from macro_fem.scene.meshing.edges import Line
+from macro_fem.scene.obstacles import unit
 from macro_fem.scene.sites import Curve, Hanging, Held, Site, Support
 from macro_fem.scene.tables import LEAST_MM, NO_MOVE, Vector, Way, in_3d, leaves_plane
 from rve.common import Array, InputError
@@ -136,10 +137,10 @@ class Edge(Support, kind="edge"):
         share = line.arc / line.arc[-1]
         nodes, places = sites.placed_along(site, line.nodes, first + share[:, None] * (last - first))
         places += site.factor * site.scene.vector(self.move)
-        e = sites.unit_direction(last - first)
+        e = unit(last - first)[: site.scene.d]
         mask = np.ones(places.shape, bool)
         if self.sliding and not sites.sloping(e):
-            mask[:, e != 0.0] = False
+            mask[:, np.abs(e) > sites.PARALLEL] = False
         slide = e if self.sliding and sites.sloping(e) else None
         return Held(f"edge {self.edge}", nodes, mask, places, facets, slide)
 

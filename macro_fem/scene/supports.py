@@ -12,8 +12,9 @@ from macro_fem.fem.cells import cross, in_space_of
 from macro_fem.fem.discretization import Discretization
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.meshing.mesh import CurtainMesh, components
+from macro_fem.scene.obstacles import unit
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.sites import Held, Site, Sliding, edge_nodes, sliding_nodes, sloping, unit_direction
+from macro_fem.scene.sites import PARALLEL, Held, Site, Sliding, edge_nodes, sliding_nodes, sloping
 from macro_fem.scene.tables import Bar
 from rve.common import Array, InputError
 
@@ -129,7 +130,7 @@ def _straight_bars(
         if mask[nodes].any() or any(np.isin(nodes, line).any() for line in lines):
             raise InputError(f"{scene.source}: [load.bar] edge = {bar.edge!r}: is held, or has a second bar")
         off = disc.nodes[nodes] - disc.nodes[nodes[0]]
-        if np.abs(cross(off, unit_direction(off[-1]))).max() > 1e-6 * mesh.size:
+        if np.abs(cross(off, unit(off[-1])[:2])).max() > 1e-6 * mesh.size:
             raise InputError(f"{scene.source}: [load.bar] edge = {bar.edge!r}: is not straight, use straight = false")
         lines.append(nodes)
     return straight_ties(lines, disc.nodes)
@@ -181,15 +182,15 @@ def told(way: Array) -> str:
 
 def _free_ways(supports: Supports, nodes: np.ndarray, disc: Discretization) -> list[tuple[Array, int]]:
     """Unit vectors (d,) along which nothing holds a piece of nodes (k,), each with a held node in its middle."""
-    X, mask = disc.nodes, supports.mask
-    held = mask[nodes].any(axis=0)
-    at = nodes[mask[nodes].any(axis=1)]
+    X, sliding, held = disc.nodes, supports.sliding, nodes[supports.mask[nodes].any(axis=1)]
+    on_line = np.isin(sliding.nodes, nodes)
+    e = sliding.direction[on_line]
+    against = np.diag(supports.mask[held].sum(axis=0)) - e.T @ e  # w.against.w: what the held nodes hold of a way w
     out = []
-    for axis in np.flatnonzero(~held):
-        along = X[at, axis % 2]
-        out.append((np.eye(len(held))[axis], int(at[np.argmin(np.abs(along - along.mean()))])))
-    on_line = nodes[np.isin(nodes, supports.sliding.nodes)]
-    way = supports.sliding.common(on_line)
-    if way is not None and not way[mask[np.setdiff1d(nodes, on_line)].any(axis=0)].any():
-        out.append((way, int(on_line[np.argmin(np.linalg.norm(X[on_line] - X[on_line].mean(axis=0), axis=1))])))
+    for way in (*np.eye(len(against)), *e[:1]):
+        if way @ against @ way < PARALLEL:
+            at = sliding.nodes[on_line] if sloping(way) else held
+            away = X[at] - X[at].mean(axis=0)
+            away = away if sloping(way) else away[:, [int(way.argmax()) % 2]]
+            out.append((way, int(at[np.linalg.norm(away, axis=1).argmin()])))
     return out
