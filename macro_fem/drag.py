@@ -10,15 +10,12 @@ q C_D (a . w / |a|)^2, on 1/|a| layers.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from macro_fem.fem.assembly import gradient, load_vector
+from macro_fem.fem.assembly import gradient
 from macro_fem.fem.cells import cross, recovered
-from macro_fem.fem.discretization import Discretization
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import (
     PER_MM2,
@@ -39,28 +36,17 @@ LEAST_FRONT = 1e-9
 """Front per reference area below which it is none."""
 
 
-def with_wind(problem: CurtainProblem, density: Array) -> CurtainProblem:
-    """The problem with wind that presses the points with `density` (n_points, d) in N/mm2 instead of what it held."""
-    disc = problem.exact
-    before = np.zeros_like(problem.force) if problem.wind is None else load_vector(disc, spread(disc, problem.wind))
-    return replace(problem, force=problem.force - before + load_vector(disc, density), wind=disc.cell_mean(density))
-
-
-def spread(disc: Discretization, values: Array) -> Array:
-    """Cell values (n_cells, ...) at all points of the cells."""
-    return np.tile(values, (disc.n_quad, *[1] * (values.ndim - 1)))
-
-
-def wind_density(problem: CurtainProblem, x: Array, sense: list[float]) -> Array:
-    """What winds press the points with (n_points, 3), N/mm2, on a shape with nodes at x (n_nodes, 3)."""
+def wind_density(problem: CurtainProblem, x: Array) -> Array:
+    """What winds press the points with (n_points, 3), N/mm2, on a shape with nodes at x (n_nodes, 3); InputError for
+    pressure that follows and blows along the flat sheet."""
     F = gradient(problem.disc, x)
     area, seen = np.cross(F[:, :, 0], F[:, :, 1]), vector_areas(problem, F)
     total = np.zeros_like(area)
-    for wind, sign in zip(problem.winds, sense, strict=True):
+    for wind in problem.winds:
         if wind.speed is None:
-            total += sign * problem.factor * wind_pressure(wind, None) * area
+            total += _side(problem, wind) * problem.factor * wind_pressure(wind, None) * area
         else:
-            total += spread(problem.disc, problem.factor * _drag(problem, wind, x, seen))
+            total += np.tile(problem.factor * _drag(problem, wind, x, seen), (problem.disc.n_quad, 1))
     return total
 
 
@@ -116,45 +102,39 @@ def _inside(p: Array, corners: Array) -> Array:
     return np.asarray(np.where(flat, -1.0, parts / np.where(flat, 1.0, total)).min(axis=1))
 
 
-def senses(problem: CurtainProblem) -> list[float]:
-    """1 for each wind along F_1 x F_2 of the flat sheet, -1 against it; InputError for pressure that blows along it."""
+def _side(problem: CurtainProblem, wind: Wind) -> float:
+    """1 for pressure along F_1 x F_2 of the flat sheet, -1 against it; InputError for pressure that blows along it."""
     start = problem.scene.start
     axes = problem.frame.T if start is None else (unit(start.x_axis), unit(start.y_axis))
-    normal = np.cross(*axes)
-    signs = []
-    for wind in problem.winds:
-        along = float(normal @ unit(wind.direction))
-        if wind.speed is None and abs(along) < 1e-3:
-            raise InputError(
-                f"{problem.scene.source}: [load.wind] direction = {list(wind.direction)}: lies in the flat sheet, so "
-                "that it tells no side for follows = true; lay the sheet across it by [start]"
-            )
-        signs.append(float(np.sign(along)))
-    return signs
+    along = float(np.cross(*axes) @ unit(wind.direction))
+    if abs(along) < 1e-3:
+        raise InputError(
+            f"{problem.scene.source}: [load.wind] direction = {list(wind.direction)}: lies in the flat sheet, so that "
+            "it tells no side for follows = true; lay the sheet across it by [start]"
+        )
+    return float(np.sign(along))
 
 
 def wind_summary(solution: CurtainSolution) -> dict[str, list[dict[str, float]]]:
     """Drag of one flat layer in winds with a speed, and front, its mean layers and solidity, and drag of the shape."""
-    lines = [_line(solution, wind) for wind in solution.problem.scene.of(Wind) if wind.speed is not None]
+    problem, lines = solution.problem, []
+    cell, reference = problem.law.cell, problem.disc.cell_area
+    for wind in problem.scene.of(Wind):
+        if wind.speed is None:
+            continue
+        assert cell is not None  # see `macro_fem.scene.loads.nodal_forces`
+        alone, a = ring_solidity(cell), vector_areas(problem, solution.F)
+        layers = layers_of(problem, wind, solution.x, a)
+        front = float(reference @ (1.0 / layers))
+        line = {
+            "speed_m_per_s": wind.speed,
+            "solidity": alone,
+            "drag_coefficient": float(layered_drag(cell, np.ones(1))[0]),
+            "pressure_N_per_m2": wind_pressure(wind, cell) / PER_MM2,
+            "front_area_m2": front * PER_MM2,
+            "layers": float(reference.sum() / front),
+            "front_solidity": float((reference / layers) @ layered_solidity(alone, layers) / front),
+            "drag_N": float(reference @ (problem.factor * _drag(problem, wind, solution.x, a)) @ unit(wind.direction)),
+        }
+        lines.append(line)
     return {"wind": lines} if lines else {}
-
-
-def _line(solution: CurtainSolution, wind: Wind) -> dict[str, float]:
-    problem = solution.problem
-    cell = problem.law.cell
-    assert cell is not None  # see `macro_fem.scene.loads.nodal_forces`
-    alone = ring_solidity(cell)
-    a = vector_areas(problem, solution.F)
-    layers, reference = layers_of(problem, wind, solution.x, a), problem.disc.cell_area
-    front = float(reference @ (1.0 / layers))
-    density = problem.factor * _drag(problem, wind, solution.x, a)
-    return {
-        "speed_m_per_s": float(wind.speed or 0.0),
-        "solidity": alone,
-        "drag_coefficient": float(layered_drag(cell, np.ones(1))[0]),
-        "pressure_N_per_m2": wind_pressure(wind, cell) / PER_MM2,
-        "front_area_m2": front * PER_MM2,
-        "layers": float(reference.sum() / front),
-        "front_solidity": float((reference / layers) @ layered_solidity(alone, layers) / front),
-        "drag_N": float(reference @ density @ unit(wind.direction)),
-    }

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from homogenize import MembraneLaw
+from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import Discretization, Points, discretize
 from macro_fem.fem.hung_law import HungLaw
 from macro_fem.fem.supported import SupportedFem
@@ -35,13 +36,18 @@ class CurtainProblem:
     law: HungLaw
     supports: Supports
     fem: SupportedFem
-    force: Array  # (n_nodes, d), N
+    dead: Array  # (n_nodes, d), N: all loads but those of `winds`
     walls: Walls  # half-spaces that nodes stay inside of: floors, walls, tangent planes of bodies
     factor: float = 1.0  # share of live loads and moves
     cones: Cones | None = None  # half-spaces to begin with, instead of the law's own few
     bodies: tuple[PlacedObstacle, ...] = ()  # obstacles that are no half-spaces
     winds: tuple[Wind, ...] = ()  # those whose force depends on the present shape
-    wind: Array | None = None  # (n_cells, d), N/mm2: what these press the cells with in `force`
+    wind: Array | None = None  # (points of `exact`, d), N/mm2: what these press with
+
+    @cached_property
+    def force(self) -> Array:
+        """All loads (n_nodes, d), N."""
+        return self.dead if self.wind is None else self.dead + load_vector(self.exact, self.wind)
 
     @cached_property
     def frame(self) -> Array:
@@ -97,7 +103,8 @@ def make_problem(
     winds = tuple(wind for wind in scene.of(Wind) if wind.is_shaped and fem.d == 3)
     if winds:
         flat = sum((wind_per_area(wind, scene, law.cell) for wind in winds if not wind.follows), np.zeros(3))
-        problem = replace(problem, winds=winds, wind=np.tile(factor * flat, (disc.n_cells, 1)))
+        wind = np.tile(factor * flat, (problem.exact.n_points, 1))
+        problem = replace(problem, dead=force - load_vector(problem.exact, wind), winds=winds, wind=wind)
     return _with_obstacles(problem) if scene.obstacle else problem
 
 

@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from macro_fem.drag import senses, wind_density, with_wind
+from macro_fem.drag import wind_density
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import FINE
 from macro_fem.mixing import Mixer
@@ -77,21 +77,20 @@ def solve_shape(problem: CurtainProblem, start: CurtainSolution | None, solve: S
     if is_steep:
         exact = replace(scene.solver, tolerance=min(scene.solver.tolerance, STEEP_TOLERANCE))
         problem = replace(problem, scene=replace(scene, solver=exact))
-    sense = senses(problem) if problem.winds else []
     first = start if start is not None else _first(problem, solve)
     shape = first.x
     mixer = Mixer(problem.exact.weight, MEMORY, part, 0.5 if is_steep else 1.0)
     if start is None and any(wind.speed is None for wind in problem.winds):
         X = problem.disc.nodes  # the sheet before anything pulls it out of its plane
         shape = X @ problem.frame.T if scene.start is None else scene.start.places(X)
-    wind = wind_density(problem, shape, sense)
+    wind = wind_density(problem, shape)
     watch = _Watch(problem, 0.0 if start is None or start.settling is None else start.settling.crossed)
     tangents, found = _approach(problem, first, wind, start, solve, watch)
     record, misfits, damping = None, list[float](), DAMPING
     for rounds in range(1, ROUNDS + 1):
         if found.status in ("infeasible", "not_finite"):
             break
-        change = wind_density(problem, found.x, sense) - wind
+        change = wind_density(problem, found.x) - wind
         turned = [tangent_walls(body, problem.fem, found.x) for body in problem.bodies]
         record = _measure_settling(problem, found, turned, change, settled)
         record = replace(record, rounds=rounds, crossed=watch.deepest)
@@ -105,7 +104,7 @@ def solve_shape(problem: CurtainProblem, start: CurtainSolution | None, solve: S
         if not is_steep and np.linalg.norm(change) > MIXED_FROM * np.linalg.norm(wind):
             damping = max(LEAST_DAMPING, 0.5 * damping) if len(misfits) > 1 and misfits[-1] > misfits[-2] else damping
             shape = shape + damping * (found.x - shape)
-            wind = wind_density(problem, shape, sense)
+            wind = wind_density(problem, shape)
         else:
             shape, wind = found.x, mixer.next(wind, change)
         share = way(misfits[0], record.misfit, settled)
@@ -182,19 +181,15 @@ class _Watch:
 
 def _pose(problem: CurtainProblem, tangents: list[Walls], wind: Array) -> CurtainProblem:
     """The convex problem with tangent half-spaces and dead wind (n_points, d) in N/mm2."""
-    posed = replace(problem, bodies=(), winds=(), walls=Walls.joined([problem.walls, *tangents]))
-    return with_wind(posed, wind) if problem.winds else posed
+    walls = Walls.joined([problem.walls, *tangents])
+    return replace(problem, bodies=(), winds=(), wind=wind if problem.winds else None, walls=walls)
 
 
 def _first(problem: CurtainProblem, solve: Solve) -> CurtainSolution:
     """The sheet at its start, or the curtain without bodies in dead wind; InputError for a point inside a body."""
     scene, disc = problem.scene, problem.disc
-    dead = problem
-    if problem.winds:
-        cell = problem.law.cell
-        per_area = sum((wind_per_area(wind, scene, cell) for wind in problem.winds), np.zeros(3))
-        dead = with_wind(problem, np.tile(problem.factor * per_area, (disc.n_points, 1)))
-    found = solve(replace(dead, bodies=(), winds=()), None)
+    per_area = sum((wind_per_area(wind, scene, problem.law.cell) for wind in problem.winds), np.zeros(3))
+    found = solve(_pose(problem, [], np.tile(problem.factor * per_area, (disc.n_points, 1))), None)
     if scene.start is not None:
         x = scene.start.places(disc.nodes)
         found = replace(found, x=x)

@@ -179,7 +179,7 @@ def dead_and_live(problem: CurtainProblem, dual: DualMesh) -> tuple[Array, float
     for wind in scene.of(Wind):
         force += 0.0 if wind.is_shaped else load_vector(disc, factor * wind_per_area(wind, scene, law.cell))
     if problem.wind is not None:
-        force += load_vector(disc, np.tile(problem.wind, (3, 1)))
+        force += load_vector(disc, np.tile(problem.disc.cell_mean(problem.wind), (3, 1)))
     for edge in scene.of(EdgeLoad):
         force += _traction_forces(dual, mesh.edge(edge.edge, "[load.edge] edge"), factor * scene.vector(edge.force))
     cost = 0.0

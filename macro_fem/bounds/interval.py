@@ -22,7 +22,6 @@ from scipy.spatial import cKDTree
 from homogenize import MembraneLaw
 from macro_fem.bounds.equilibrated import DualProblem, at_dual_nodes, dual_problem
 from macro_fem.curtain import solve_problem
-from macro_fem.drag import with_wind
 from macro_fem.fem.assembly import internal_force
 from macro_fem.fem.discretization import reference_shapes
 from macro_fem.fem.hung_law import largest_stretch
@@ -150,9 +149,9 @@ def linear_part(solution: CurtainSolution, outer: MembraneLaw | None) -> Curtain
         cones = take_from(cones, np.tile(np.arange(len(cones.first)), 3))
     flat = replace(problem.scene, mesh=replace(problem.scene.mesh, element="P1"))
     if outer is not None or problem.disc.element != "P1":
-        wind = problem.wind
+        wind = None if problem.wind is None else problem.disc.cell_mean(problem.wind)
         problem = make_problem(flat, problem.law.own if outer is None else outer, problem.mesh, problem.factor)
-        problem = problem if wind is None else with_wind(problem, wind)
+        problem = replace(problem, wind=wind)
     if outer is not None and cones is not None:
         cones = replace(cones, h=problem.law.support(cones.S))
     return replace(solution, problem=problem, x=solution.x[: problem.disc.n_nodes], cones=cones)

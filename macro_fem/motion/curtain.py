@@ -167,7 +167,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             kept.append(Sphere(tuple(place), ball.radius, name=ball.name))
         scene = replace(problem.scene, items=tuple(kept))
         force = internal_force(problem.disc, frame.P) - frame.supports
-        told = replace(problem, scene=scene, force=force, walls=Walls.none(problem.fem.d), winds=())
+        told = replace(problem, scene=scene, dead=force, wind=None, walls=Walls.none(problem.fem.d), winds=())
         inner, asked = InnerForces(frame.P, frame.S, 0.0, np.zeros(0)), Evidence(1.0, 1.0, 1.0)
         return CurtainSolution(told, "converged", asked, frame.moment.x[:n], inner, 0.0, 0.0, frame.iterations, 0.0)
 
@@ -179,7 +179,8 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         force, blocks = winds_at(problem, frame.moment)
         force -= times(blocks, frame.moment.v[: len(force)])
         wind = (force / load_vector(problem.disc, np.array([1.0])))[problem.disc.cell_dofs].mean(axis=1)
-        return replace(found, problem=replace(found.problem, winds=problem.winds, wind=wind))
+        dead = found.problem.force - load_vector(problem.disc, wind)
+        return replace(found, problem=replace(found.problem, dead=dead, winds=problem.winds, wind=wind))
 
     def _titled(self, frames: Sequence[MotionFrame]) -> Titled:
         return [(f"{one.moment.t:.3f} s", self.blown(one)) for one in frames]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from macro_fem.drag import senses, spread, wind_density
+from macro_fem.drag import wind_density
 from macro_fem.fem.assembly import gradient, load_vector
 from macro_fem.fem.discretization import Points
 from macro_fem.motion.step import Forces, Moment
@@ -78,23 +78,23 @@ def forces_at(problem: CurtainProblem, balls: tuple[Ball, ...], now: Moment, dam
     """Forces on nodes and bodies at the end of a step; winds with a speed by the velocity relative to the mesh."""
     dead, n = weights_of(problem, balls), problem.disc.n_nodes
     live, drag = np.zeros_like(dead), None
-    live[:n] = problem.force - dead[:n]
-    if problem.wind is not None:
+    live[:n] = problem.dead - dead[:n]
+    if problem.winds:
         drag = np.zeros((len(dead), 3, 3))
         blown, drag[:n] = winds_at(problem, now)
-        live[:n] += blown - load_vector(problem.disc, spread(problem.disc, problem.wind))
+        live[:n] += blown
     resist = np.where(np.arange(len(dead)) < n, damping, 0.0)  # not of bodies
     return Forces(dead, live, drag, resist)
 
 
 def winds_at(problem: CurtainProblem, now: Moment) -> tuple[Array, Array]:
-    """Forces (n_nodes, 3) of the winds whose force depends on the shape, by the velocity relative to the mesh, and
-    blocks, see `relative_wind`."""
+    """Forces (n_nodes, 3) of winds on the present shape by the velocity relative to the mesh, and their blocks, see
+    `relative_wind`."""
     n = problem.disc.n_nodes
     force, blocks = np.zeros((n, 3)), np.zeros((n, 3, 3))
     for wind in problem.winds:
         one = replace(problem, winds=(breeze(wind),))
-        pressed = load_vector(problem.disc, wind_density(one, now.x[:n], senses(one)))
+        pressed = load_vector(problem.exact, wind_density(one, now.x[:n]))
         own, block = relative_wind(wind, pressed, now.v[:n])
         force += own
         blocks += block

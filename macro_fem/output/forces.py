@@ -188,7 +188,7 @@ def winds(solution: CurtainSolution) -> tuple[Array, Array]:
     problem, scene = solution.problem, solution.problem.scene
     nodal = np.zeros(problem.force.shape)
     if problem.winds and problem.wind is not None:
-        nodal += load_vector(problem.disc, np.tile(problem.wind, (problem.disc.n_quad, 1)))
+        nodal += load_vector(problem.exact, problem.wind)
     for wind in (one for one in scene.of(Wind) if not one.is_shaped):
         nodal += problem.factor * load_vector(problem.disc, wind_per_area(wind, scene, None))
     return _summed_up(solution, nodal, halved(padded(solution.x), np.arange(len(nodal)), MOST_ARROWS))

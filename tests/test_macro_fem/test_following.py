@@ -59,8 +59,8 @@ def test_pressure_pushes_along_the_surface_and_its_resultant_is_that_of_the_rim(
     problem = quarter(3)
     rng = np.random.default_rng(5)
     x = problem.fem.reference + rng.normal(scale=5.0, size=(problem.disc.n_nodes, 3))
-    force = load_vector(problem.disc, wind_density(problem, x, [1.0]))
-    flat = load_vector(problem.disc, wind_density(problem, problem.fem.reference, [1.0]))
+    force = load_vector(problem.disc, wind_density(problem, x))
+    flat = load_vector(problem.disc, wind_density(problem, problem.fem.reference))
     area = problem.disc.weight.sum()
     assert flat.sum(axis=0) == pytest.approx([0.0, 0.0, PRESSURE * area], abs=1e-12)
     mesh = problem.mesh.mesh

@@ -8,7 +8,7 @@ import rve
 from homogenize.io import default_law
 from homogenize.laws.net import diagonal_net
 from macro_fem.curtain import solve_convex, solve_problem
-from macro_fem.drag import layers_of, senses, vector_areas, wind_density, wind_summary
+from macro_fem.drag import layers_of, vector_areas, wind_density, wind_summary
 from macro_fem.fem.assembly import gradient
 from macro_fem.scene.loads import drag_coefficient, ring_solidity
 from macro_fem.scene.scene import read_scene
@@ -62,7 +62,7 @@ def test_a_flat_curtain_square_to_the_wind_is_one_layer(element, keys):
     """Also one that is made of nodes laid flat anywhere across the wind."""
     problem = posed(hung({"kind": "top"}, {"speed": 15.0, **keys}, element=element))
     flat = drag_coefficient(ring_solidity(problem.law.cell))
-    density = wind_density(problem, problem.fem.reference + np.array([7.0, 5.0, 300.0]), senses(problem))
+    density = wind_density(problem, problem.fem.reference + np.array([7.0, 5.0, 300.0]))
     assert density == pytest.approx(np.tile([0.0, 0.0, 0.5e-6 * 1.25 * 225.0 * flat], (len(density), 1)), rel=1e-9)
 
 
@@ -72,7 +72,7 @@ def test_layers_of_a_gathered_half_beside_a_flat_half(width):
     problem = posed(hung({"kind": "top"}, {"speed": 15.0}, cells=8))
     x = problem.fem.reference.copy()
     x[:, 0] = np.where(x[:, 0] > 1500.0, x[:, 0], 1500.0 + width * (x[:, 0] - 1500.0))
-    density = wind_density(problem, x, [1.0])[:, 2]
+    density = wind_density(problem, x)[:, 2]
     middle = problem.disc.points[:, 0]
     plate = 0.5e-6 * 1.25 * 225.0
     layered = drag_coefficient(1.0 - (1.0 - ring_solidity(problem.law.cell)) ** (1.0 / width)) * width
@@ -87,7 +87,7 @@ def test_a_sheet_folded_upon_itself_is_two_layers():
     x = problem.fem.reference.copy()
     x[:, 2] = np.maximum(x[:, 0] - 1500.0, 0.0) * 0.01
     x[:, 0] = np.where(x[:, 0] > 1500.0, 3010.0 - x[:, 0], x[:, 0])
-    force = problem.disc.weight @ wind_density(problem, x, [1.0])[:, 2]
+    force = problem.disc.weight @ wind_density(problem, x)[:, 2]
     s = ring_solidity(problem.law.cell)
     front = 1.5 * 2.3
     assert force == pytest.approx(0.5 * 1.25 * 225.0 * drag_coefficient(1.0 - (1.0 - s) ** 2) * front, rel=0.05)
@@ -182,7 +182,7 @@ def test_no_shape_takes_more_than_a_plate_on_its_front(seed):
     x += rng.uniform(0.0, 200.0) * rng.standard_normal(x.shape)
     a = vector_areas(problem, gradient(problem.disc, x))
     front = problem.disc.cell_area @ (1.0 / layers_of(problem, problem.winds[0], x, a))
-    density = wind_density(problem, x, senses(problem))
+    density = wind_density(problem, x)
     drag = problem.disc.weight @ density[:, 2]
     assert 0.0 < drag <= 4.0 / 3.0 * 0.5e-6 * 1.25 * 225.0 * front
     assert front <= problem.disc.cell_area @ np.abs(a[:, 2]) * (1.0 + 1e-9)
