@@ -115,6 +115,7 @@ def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
     """The curtain by a law that is asked of the rings; earlier load steps by the law found at full load."""
     from macro_fem.demand.loop import solve_on_demand
     from macro_fem.demand.ring_strength import with_strength
+    from macro_fem.demand.rings import Rings
 
     check_sizes(scene, who.cell.r1)
     cell = in_material(scene, who.cell)
@@ -129,7 +130,7 @@ def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
     if kept.folder is not None:
         note = f"answers of the rings are kept in {kept.folder}, and the same command goes on from there"
     with noted_if_stopped(note):
-        answers = solve_on_demand(bounded, cell, who.accuracy, known=who.interval(), cache=kept)
+        answers = solve_on_demand(bounded, Rings(cell, kept, who.interval()), who.accuracy)
         found = with_strength(answers)
         early = _steps(bounded, found.law.inner, scene.load.steps - 1)
     return MembraneSolution(bounded, (*early, found.level.solution), (found.level,), found)

@@ -108,7 +108,7 @@ def on_demand(cell: Cell, cells: int, accuracy: float) -> tuple[float, int, floa
 
     The run refines its mesh as well; its law is then used on the mesh of the others, half-way between both bounds.
     """
-    found = solve_on_demand(scene(cells), cell, accuracy)
+    found = solve_on_demand(scene(cells), Rings(cell), accuracy)
     info: CellInfo | None = found.law.law.cell
     law = law_interval(found.law.rows, cell=info)
     heights = [curtain(one, cells).mean_height() for one in (law.inner, law.outer)]

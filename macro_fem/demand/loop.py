@@ -26,8 +26,7 @@ from macro_fem.demand.rings import GAIN, Rings
 from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution
-from rve import Cell
-from rve.common import NO_CACHE, Cache, InputError, part_of
+from rve.common import Array, InputError, part_of
 from rve.common.tensor import disc
 
 LAW_SHARE, AGAIN = 0.15, 2.0
@@ -94,69 +93,61 @@ class Demand:
             "ring_solves": self.rings.solves,
             "cache_hits": self.rings.hits,
             "ring_failures": self.rings.failed,
-            "rows": self.rings.count,
+            "rows": len(self.rings.rows),
             "largest_contradiction_of_rows": self.law.raised,
             "turns": [asdict(turn) for turn in self.turns],
         }
 
 
-def solve_on_demand(
-    scene: Scene,
-    cell: Cell,
-    accuracy: float = ACCURACY,
-    *,
-    known: LawInterval | None = None,
-    cache: Cache = NO_CACHE,
-) -> Demand:
-    """The curtain of a scene of these rings at its full load, its interval narrowed to `accuracy`, see `OnDemand`.
+def solve_on_demand(scene: Scene, rings: Rings, accuracy: float = ACCURACY) -> Demand:
+    """The curtain of a scene at its full load, its interval narrowed to `accuracy`, see `OnDemand`, by rings and what
+    they know.
 
-    known: what is known of the rings to begin with. The answer is the last admissible curtain, whose potential is the
-    upper end of the interval. InputError if the scene makes no sense or its supports are out of reach.
+    The answer is the last admissible curtain, whose potential is the upper end of the interval. InputError if the scene
+    makes no sense or its supports are out of reach.
     """
-    began, rings = time.perf_counter(), Rings(cell, cache, known)
-    law = rings.law() if known is not None else rings.learn(first_directions(rings.is_mirrored))
+    began = time.perf_counter()
+    if not len(rings.rows):
+        rings.learn(first_directions(rings.is_mirrored))
     mesh, turns = build_mesh(scene, rings.info), list[Turn]()
     last: CurtainSolution | None = None
     level: Level | None = None
-    share, ended = FIRST_GAP, ("turn_limit", SENTENCES["turn_limit"])
+    share, status, why = FIRST_GAP, "turn_limit", dict[str, Any]()
     while len(turns) < MOST_TURNS:
         with part_of(_line(mesh, rings, level), 0.0, 1.0):
-            solution, law = _hang(scene, rings, mesh, law, last, LOST if level is None else 0)
+            solution = _hang(scene, rings, mesh, last, LOST if level is None else 0)
         if solution.status != "converged":
             if level is None:
                 what = "[support]" if solution.status == "infeasible" else f"status {solution.status}"
-                raise InputError(f"{scene.source}: {what}: {solution.message} (law of {rings.count} ring problems)")
-            ended = "curtain_limit", SENTENCES["curtain_limit"].format(why=solution.message)
+                raise InputError(f"{scene.source}: {what}: {solution.message} (law of {len(rings.rows)} ring problems)")
+            status, why = "curtain_limit", {"why": solution.message}
             break
         scale = _scale(solution)
         allowed = LAW_SHARE * max(accuracy, share) * scale
-        before, inner = len(rings.x), law.inner
-        law = _narrow(rings, law, solution, allowed)
-        part = _loads(solution, law, inner).law_part
+        before, inner = len(rings.x), rings.law.inner
+        _narrow(rings, solution, allowed)
+        part = _loads(solution, rings, inner).law_part
         is_known = part <= AGAIN * allowed or len(rings.x) == before
         if is_known:
             with part_of("bounds", 0.0, 1.0):
-                new = Level(solution, bound(solution, outer=law.outer))
+                new = Level(solution, bound(solution, outer=rings.law.outer))
         lower, cells = new.bounds.lower if is_known else np.nan, solution.problem.disc.n_cells
-        asked = rings.count, rings.solves, rings.hits
+        asked = len(rings.rows), rings.solves, rings.hits
         turns.append(Turn(cells, *asked, solution.primal, lower, part, time.perf_counter() - began))
         last = solution
         if not is_known:
             continue
         level = new if level is None or new.bounds.status == "converged" else level
-        status = _find_end(new, turns, accuracy)
-        if status is not None:
-            why: dict[str, Any] = {"cells": MOST_CELLS, "solves": MOST_SOLVES, "failed": rings.failed}
-            why |= {"law": float(new.bounds.law_part or 0.0) / scale, "bound": new.bounds.status, "raised": law.raised}
-            # then some h are not the largest work
-            status = "contradiction" if status == "converged" and law.raised > GAIN else status
-            ended = status, SENTENCES[status].format(**why)
+        end = _find_end(new, rings, turns, accuracy)
+        if end is not None:
+            why = {"cells": MOST_CELLS, "solves": MOST_SOLVES, "failed": rings.failed, "raised": rings.law.raised}
+            status, why = end, why | {"law": float(new.bounds.law_part or 0.0) / scale, "bound": new.bounds.status}
             break
         share = FALL * max(level.bounds.gap - part, 0.0) / scale
         mesh = refine(mesh, mark(level.bounds.error))
     if level is None:
         raise InputError(f"{scene.source}: no bounds after {len(turns)} turns; ask for less accuracy")
-    return Demand(level, law, rings, tuple(turns), accuracy, *ended)
+    return Demand(level, rings.law, rings, tuple(turns), accuracy, status, SENTENCES[status].format(**why))
 
 
 def _scale(solution: CurtainSolution) -> float:
@@ -167,51 +158,51 @@ def _scale(solution: CurtainSolution) -> float:
     return total * solution.problem.mesh.height
 
 
-def _hang(
-    scene: Scene, rings: Rings, mesh: CurtainMesh, law: LawInterval, last: CurtainSolution | None, tries: int
-) -> tuple[CurtainSolution, LawInterval]:
-    """The curtain by the inner law, and the law.
+def _hang(scene: Scene, rings: Rings, mesh: CurtainMesh, last: CurtainSolution | None, tries: int) -> CurtainSolution:
+    """The curtain by the inner law.
 
     Where no curtain hangs on it, the rings are asked more widely, at most `tries` times: at the stress that proves it,
     and far from known directions.
     """
     while True:
-        problem = admissible_problem(scene, law.inner, mesh)
-        solution = solve_problem(with_cones_of(problem, last))
+        solution = solve_problem(with_cones_of(admissible_problem(scene, rings.law.inner, mesh), last))
         if solution.status == "converged" or tries == 0:
-            return solution, law
+            return solution
         tries -= 1
-        loads = _loads(solution, law, law.inner)
-        x = widest(disc(loads.S), loads.weight * loads.width, rings.x, QUESTIONS, rings.is_mirrored)
-        law = rings.learn(np.vstack([x, between(np.vstack([rings.x, x]), QUESTIONS, rings.is_mirrored)]))
+        x = _widest(rings, _loads(solution, rings, rings.law.inner), QUESTIONS)
+        rings.learn(np.vstack([x, between(np.vstack([rings.x, x]), QUESTIONS, rings.is_mirrored)]))
 
 
-def _narrow(rings: Rings, law: LawInterval, solution: CurtainSolution, allowed: float) -> LawInterval:
-    """The law after the rings were asked at the solution's stresses until its part, N mm, is what is allowed."""
+def _narrow(rings: Rings, solution: CurtainSolution, allowed: float) -> None:
+    """Ask the rings at the solution's stresses until the law's part, N mm, is what is allowed."""
     for _ in range(LOOKS):
-        loads, left = _loads(solution, law, law.inner), MOST_SOLVES - rings.solves
+        loads, left = _loads(solution, rings, rings.law.inner), MOST_SOLVES - rings.solves
         if loads.law_part <= allowed or left <= 0:
             break
-        x = widest(disc(loads.S), loads.weight * loads.width, rings.x, min(QUESTIONS, left), rings.is_mirrored)
+        x = _widest(rings, loads, min(QUESTIONS, left))
         if not len(x):
             break
-        law = rings.learn(x)
-    return law
+        rings.learn(x)
 
 
-def _loads(solution: CurtainSolution, law: LawInterval, inner: MembraneLaw) -> Loads:
-    """The stresses of a curtain that was solved by the law `inner`, in the frame of the weave."""
+def _widest(rings: Rings, loads: Loads, most: int) -> Array:
+    """At most `most` directions (n, 2) of loads that widen the interval most."""
+    return widest(disc(loads.S), loads.weight * loads.width, rings.x, most, rings.is_mirrored)
+
+
+def _loads(solution: CurtainSolution, rings: Rings, inner: MembraneLaw) -> Loads:
+    """The stresses of a curtain in the frame of the weave, between the law `inner` and the outer law of the rings."""
     problem = solution.problem
-    return loads_of(problem.disc.weight, problem.law.in_weave(solution.S), inner, law.outer)
+    return loads_of(problem.disc.weight, problem.law.in_weave(solution.S), inner, rings.law.outer)
 
 
-def _find_end(level: Level, turns: Sequence[Turn], accuracy: float) -> str | None:
+def _find_end(level: Level, rings: Rings, turns: Sequence[Turn], accuracy: float) -> str | None:
     """The status if this was the last turn."""
     bounds, target = level.bounds, accuracy * _scale(level.solution)
     if bounds.status != "converged":
         return "bound_limit"
-    if bounds.gap <= target:
-        return "converged"
+    if bounds.gap <= target:  # by rows that do not contradict each other, else some h are not the largest work
+        return "converged" if rings.law.raised <= GAIN else "contradiction"
     is_idle = len(turns) > 1 and turns[-1].rows == turns[-2].rows
     if is_idle and float(bounds.law_part or 0.0) > 0.5 * max(bounds.gap, target):
         return "law_limit"
@@ -220,7 +211,7 @@ def _find_end(level: Level, turns: Sequence[Turn], accuracy: float) -> str | Non
 
 def _line(mesh: CurtainMesh, rings: Rings, level: Level | None) -> str:
     """What the progress line says."""
-    text = f"{mesh.mesh.t.shape[1]} triangles, {rings.count} ring problems"
+    text = f"{mesh.mesh.t.shape[1]} triangles, {len(rings.rows)} ring problems"
     if level is None:
         return text
     scale, gap, law = _scale(level.solution), level.bounds.gap, float(level.bounds.law_part or 0.0)

@@ -34,40 +34,33 @@ ROUNDS = 6
 class Rings:
     """Rings of a mesh, what they were asked, and how the answers came about.
 
-    x (n, 2): directions that were asked; rows: their answers without those that failed, None before the first; beside:
-    the directions that some rows were solved with. solves: ring problems solved; hits: answers read from the cache;
-    failed: directions without an answer.
+    x (n, 2): directions that were asked; rows: their answers without those that failed, to begin with those of an
+    interval of laws that is `known`; beside: the directions that some rows were solved with. solves: ring problems
+    solved; hits: answers read from the cache; failed: directions without an answer. is_mirrored: whether the weave is
+    its own mirror image.
     """
 
     def __init__(self, cell: Cell, cache: Cache = NO_CACHE, known: LawInterval | None = None) -> None:
-        self.cell, self.cache = cell, cache
-        self.rows: LockedRows | None = None
-        self.x = np.zeros((0, 2))
+        self.cell, self.cache, self.is_mirrored = cell, cache, cell.weave.is_mirrored
         self.beside: dict[int, Beside] = {}
         self.solves = self.hits = self.failed = 0
+        none, number = np.zeros((0, 3)), np.zeros(0, np.intp)
+        self.rows = LockedRows(none, none, none[:, 0], number > 0, number, is_mirrored=self.is_mirrored)
         if known is not None:
             if known.law.cell is not None:
                 self.info.check_same(known.law.cell, known.source, "--rings")
-            self.rows, self.x = known.rows, rounded(disc(known.rows.S))
+            self.rows = known.rows
+        self.x = rounded(disc(self.rows.S))
 
     @cached_property
     def info(self) -> CellInfo:
         """Radii, reference cell and areal mass; NotConverged if the reference cell is not found."""
         return cell_of(solve_table(self.cell, ([0.0], [90.0])))
 
-    @property
-    def count(self) -> int:
-        """Rows known."""
-        return 0 if self.rows is None else len(self.rows)
-
-    @property
-    def is_mirrored(self) -> bool:
-        """Whether the weave is its own mirror image."""
-        return self.cell.weave.is_mirrored
-
+    @cached_property
     def law(self) -> LawInterval:
         """What is known of the law; InputError if the rings answered too few questions."""
-        if self.rows is None or len(self.rows) < 4:
+        if len(self.rows) < 4:
             raise InputError(
                 f"--rings: {self.failed} of {len(self.x)} load directions found no locked state; try other radii"
             )
@@ -78,25 +71,23 @@ class Rings:
         x = rounded(x)
         for number, one in enumerate(x):
             tell(f"asking the rings, {self.solves} solved, {len(x) - number} to go", number / len(x))
-            row = self.answer(one)
-            if row is None:
+            if (row := self.answer(one)) is None:
                 self.failed += 1
             else:
-                self.rows = row if self.rows is None else self.rows.join([row])
+                self.rows = self.rows.join([row])
         self.x = np.vstack([self.x, x])
 
-    def learn(self, x: Array) -> LawInterval:
-        """What is known of the law with the answers to the directions x (n, 2), settled."""
+    def learn(self, x: Array) -> None:
+        """Add the answers to the directions x (n, 2), settled, to what is known of the law."""
         self.ask(x)
         self.settle()
-        return self.law()
+        vars(self).pop("law", None)
 
     def settle(self) -> None:
         """Ask again until no row's strain does more work under the load of another row than that row's own: that row is
         asked beside the load of the strain, whose locked states are then starts. Ends after a round without gain.
         """
-        for _ in range(ROUNDS if self.count else 0):
-            assert self.rows is not None
+        for _ in range(ROUNDS if len(self.rows) else 0):
             before = self.rows.h
             for i, j, x in contradictions(self.rows):
                 old = self.beside.get(i, ())
@@ -125,7 +116,7 @@ class Rings:
         if found["status"] != "converged":
             return None
         h, E, unique = (np.array([found[name]]) for name in ("h", "E", "unique"))
-        return LockedRows(S[:1], E, h, unique, np.array([self.count]), is_mirrored=self.is_mirrored)
+        return LockedRows(S[:1], E, h, unique, np.array([len(self.rows)]), is_mirrored=self.is_mirrored)
 
 
 def contradictions(rows: LockedRows) -> list[tuple[int, int, tuple[float, float]]]:

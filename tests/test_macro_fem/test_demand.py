@@ -122,7 +122,7 @@ def test_more_rows_narrow_the_interval_from_both_sides():
 
 def test_the_interval_of_exactly_known_rings_holds_their_answer(known_rings):
     scene = square(cells=4)
-    found = solve_on_demand(scene, Cell(), 0.05)
+    found = solve_on_demand(scene, Rings(Cell()), 0.05)
     low, high = interval(found)
     scale = np.abs(found.level.solution.problem.force).sum() * 100.0
     assert found.status == "converged"
@@ -139,7 +139,7 @@ def test_the_interval_of_exactly_known_rings_holds_their_answer(known_rings):
 
 def test_what_is_asked_is_where_the_curtain_is_stressed(known_rings):
     scene = square("top", cells=3, curtain={"width": 100.0, "height": 100.0, "weave_angle": "y"})
-    found = solve_on_demand(scene, Cell(), 1e-3)
+    found = solve_on_demand(scene, Rings(Cell()), 1e-3)
     first = len(first_directions(True))
     x = disc(np.array(known_rings))
     assert found.status == "converged"
@@ -148,21 +148,21 @@ def test_what_is_asked_is_where_the_curtain_is_stressed(known_rings):
 
 
 def test_a_law_that_is_known_is_where_the_run_begins(known_rings):
-    found = solve_on_demand(square(cells=4), Cell(), 0.05, known=KNOWN)
+    found = solve_on_demand(square(cells=4), Rings(Cell(), known=KNOWN), 0.05)
     assert found.status == "converged"
     assert found.rings.solves == 0
-    assert found.rings.count == len(KNOWN.rows)
+    assert len(found.rings.rows) == len(KNOWN.rows)
     with pytest.raises(InputError, match="r2, b_x and b_y"):
-        solve_on_demand(square(), Cell(5.0, 0.4), 0.05, known=KNOWN)
+        solve_on_demand(square(), Rings(Cell(5.0, 0.4), known=KNOWN), 0.05)
     with pytest.raises(InputError, match="carries no load"):
-        solve_on_demand(square(load={"gravity": 0.0}), Cell(), 0.05, known=KNOWN)
+        solve_on_demand(square(load={"gravity": 0.0}), Rings(Cell(), known=KNOWN), 0.05)
 
 
 def test_two_runs_with_one_cache_give_the_same_answer(known_rings, tmp_path):
     cache = Cache(tmp_path / "rings")
-    first = solve_on_demand(square(), Cell(), 0.05, cache=cache)
+    first = solve_on_demand(square(), Rings(Cell(), cache), 0.05)
     count = len(known_rings)
-    second = solve_on_demand(square(), Cell(), 0.05, cache=cache)
+    second = solve_on_demand(square(), Rings(Cell(), cache), 0.05)
     assert count == len(known_rings) == first.rings.solves
     assert first.rings.hits == 0
     assert second.rings.solves == 0
@@ -204,7 +204,7 @@ def test_rows_that_keep_contradicting_each_other_are_no_converged_answer(known_r
         return found
 
     monkeypatch.setattr(rings_module, "support", support)
-    found = solve_on_demand(square(), Cell(), 0.2)
+    found = solve_on_demand(square(), Rings(Cell()), 0.2)
     assert found.status == "contradiction"
     assert "largest work" in found.message
 
@@ -213,14 +213,14 @@ def test_rows_that_keep_contradicting_each_other_are_no_converged_answer(known_r
 def test_limits_are_named(known_rings, monkeypatch):
     with monkeypatch.context() as few:
         few.setattr("macro_fem.demand.loop.MOST_TURNS", 2)
-        turns = solve_on_demand(square(), Cell(), 1e-3)
+        turns = solve_on_demand(square(), Rings(Cell()), 1e-3)
     assert (turns.status, len(turns.turns)) == ("turn_limit", 2)
     monkeypatch.setattr("macro_fem.demand.loop.MOST_CELLS", 100)
-    mesh = solve_on_demand(square(), Cell(), 1e-3)
+    mesh = solve_on_demand(square(), Rings(Cell()), 1e-3)
     assert mesh.status == "mesh_limit"
     assert "100 triangles" in mesh.message
     monkeypatch.setattr("macro_fem.demand.loop.MOST_SOLVES", 12)
-    law = solve_on_demand(square(), Cell(), 1e-3)
+    law = solve_on_demand(square(), Rings(Cell()), 1e-3)
     assert law.status in ("law_limit", "mesh_limit")
     assert law.rings.solves == 12
 
@@ -230,7 +230,7 @@ def test_supports_that_no_state_reaches_are_refused_after_the_rings_were_asked_m
         {"kind": "edge", "edge": "top", "gather": 1.9}, curtain={"width": 100.0, "height": 100.0, "weave_angle": "x"}
     )
     with pytest.raises(InputError, match="support"):
-        solve_on_demand(far, Cell(), 0.1)
+        solve_on_demand(far, Rings(Cell()), 0.1)
     assert len(known_rings) > len(first_directions(True)) + 16
 
 
@@ -241,7 +241,7 @@ def test_rings_without_an_answer_are_counted_and_named(monkeypatch):
 
     monkeypatch.setattr(rings_module, "support", support)
     with pytest.raises(InputError, match="12 of 12 load directions"):
-        solve_on_demand(square(), Cell())
+        solve_on_demand(square(), Rings(Cell()))
 
 
 def test_answers_of_the_cache_are_bit_for_bit_those_of_the_rings(known_rings, tmp_path):
@@ -375,7 +375,7 @@ SCENES = {
 @pytest.mark.parametrize("name", SCENES)
 def test_the_interval_of_real_rings_holds_the_answer_of_the_finest_law_and_mesh(name, tmp_path_factory):
     scene = SCENES[name]
-    found = solve_on_demand(scene, Cell(), 0.03, cache=Cache(tmp_path_factory.getbasetemp() / "c"))
+    found = solve_on_demand(scene, Rings(Cell(), Cache(tmp_path_factory.getbasetemp() / "c")), 0.03)
     assert found.status == "converged"
     assert found.law.raised < 1e-8
     low, high = interval(found)
@@ -409,7 +409,7 @@ def test_the_factor_on_demand_is_that_of_the_finest_law():
 @pytest.mark.slow
 @pytest.mark.parametrize("cell", [Cell(5.0, 0.5, WEAVES["6-in-1"]), Cell(5.0, 0.2, grain="x")], ids=["6-in-1", "thin"])
 def test_other_weaves_and_radii_go_from_rings_to_curtain(cell):
-    found = solve_on_demand(square(cells=3), cell, 0.06)
+    found = solve_on_demand(square(cells=3), Rings(cell), 0.06)
     assert found.status == "converged"
     assert found.law.raised < 1e-8
     low, high = interval(found)
