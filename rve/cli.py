@@ -194,7 +194,7 @@ def _say_of_table(found: Any, out: Path, method: str) -> None:
 def case(alpha: float, beta: float, plot: Path | None, explain: bool, **cell: Any) -> None:
     """Solve one load direction and print its locked state as JSON."""
     from rve.common.drawing.plane import save_figure
-    from rve.plots import draw_case, locked_row
+    from rve.plots import draw_case
     from rve.solve import solve_table
     from rve.table import COLUMNS
 
@@ -203,7 +203,9 @@ def case(alpha: float, beta: float, plot: Path | None, explain: bool, **cell: An
     found = solve_table(asked_cell(**cell), ([alpha], [beta]))
     if explain:
         _explain(found)
-    locked_row(found)
+    status = str(found.status[0])
+    if status != "converged":
+        raise NotConverged(f"{status}: {SENTENCES[status]}")
     row = {name: column[0] for name, column in found.columns().items() if name in COLUMNS}
     answer(row | {"areal_mass_kg_per_m2": found.provenance["areal_mass_kg_per_m2"]}, always=True)
     if plot is not None:

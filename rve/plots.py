@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rve.common import SENTENCES, Array, InputError, NotConverged, digits
+from rve.common import Array, digits
 from rve.common.drawing.plane import BLUE, VERMILION, new_axes
 from rve.drawn import DrawnRings
 from rve.equilibrium.interior_point import LockedStates, unit_loads
@@ -65,26 +65,14 @@ def corner_forces(states: LockedStates) -> tuple[Array, Array]:
     return swapped(at, states.cell), swapped(0.5 * np.array([-f1 - f2, f1 - f2, f2 - f1, f1 + f2]), states.cell)
 
 
-def locked_row(table: StrainTable) -> LockedStates:
-    """The locked state of the first row of a table that was solved here.
-
-    Raises NotConverged for a row that has not converged, InputError for a table without `states`.
-    """
-    status = str(table.status[0])
-    if status != "converged":
-        raise NotConverged(f"{status}: {SENTENCES[status]}")
-    if table.states is None:
-        raise InputError("a table read from a file has no locked states to draw; solve it again with solve_table")
-    return table.states.take(np.array([0]))
-
-
 def draw_case(table: StrainTable) -> Axes:
-    """The locked cell of `locked_row` on axes of their own.
+    """The locked cell of a table of one row that was solved here and has converged, on axes of their own.
 
     Rings are seen along z, contact points with the forces between rings (blue) and those on the corner rings
     (vermilion).
     """
-    states, ax = locked_row(table), new_axes(6.8, 7.6)
+    states, ax = table.states, new_axes(6.8, 7.6)
+    assert states is not None
     cell, r1 = states.cell, states.cell.r1
     for k in range(cell.weave.classes):
         x, y, _ = drawn_rings(states, k).closed_circles(96).T

@@ -16,7 +16,7 @@ from rve.common.tensor import double_dot
 from rve.directions import grid
 from rve.equilibrium.branches import RowStates, largest_rows, make_rows
 from rve.equilibrium.dead_load import DeadLoad, LoadedCell, solve_dead
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium, LockedStates, solve_equilibrium, unit_loads
+from rve.equilibrium.interior_point import DirectOptions, LockedStates, solve_equilibrium, unit_loads
 from rve.equilibrium.largest_work import in_cell
 from rve.equilibrium.limits import with_limits
 from rve.equilibrium.mixtures import MOVED
@@ -25,8 +25,8 @@ from rve.equilibrium.system import Equations, mirror_modes
 from rve.explain import solver_work
 from rve.geometry.cell import Cell, weave_axes
 from rve.geometry.contacts import unlisted_gap, widened
-from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
-from rve.geometry.pose import Pose, deformation, strain_of, tiled
+from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
+from rve.geometry.pose import Pose, deformation, tiled
 from rve.table import RowQuality, StrainTable
 
 BLOCK = 512
@@ -136,7 +136,7 @@ def solve_table(
     elif cell.is_larger:
         raise InputError("--branches first follows the slack pose, which is the same in every cell: leave out --cells")
     else:
-        table = replace(table_rows(alpha, beta, cell, states.found, states.unique, sides), states=states)
+        table = table_rows(alpha, beta, states, sides)
     provenance = table_provenance(cell, options, sides, table.status, time.perf_counter() - began)
     return replace(table, provenance=provenance | record)
 
@@ -166,11 +166,7 @@ def largest_table(
         return largest_table(alpha, beta, cell, wide, options, sides_mm)
     status = np.where(left, "below", states.found.status).astype("<U16")
     states = replace(states, found=replace(states.found, status=status))
-    mixed = np.flatnonzero(rows.branch == "coexisting")
-    table = table_rows(alpha, beta, states.cell, states.found, states.unique, sides_mm)
-    S = second_pk(deformation_gradient(strain_of(states.pose.take(mixed), mesh.sides)), states.s[mixed])
-    table.S[mixed] = np.where(left[mixed, None], np.nan, S[:, weave_axes(cell)])
-    table = replace(table, states=states, branch=rows.branch)
+    table = replace(table_rows(alpha, beta, states, sides_mm), branch=rows.branch)
     return table, branch_record(table, first, rows, left, time.perf_counter() - began) | record
 
 
@@ -204,20 +200,19 @@ def branch_record(table: StrainTable, first: RowStates, rows: RowStates, left: F
     return {"maximum_by": how, "several_states": several, "wall_s": round(wall, 3)}
 
 
-def table_rows(
-    alpha: Array, beta: Array, cell: Cell, found: Equilibrium, unique: NDArray[np.bool_], sides: tuple[float, float]
-) -> StrainTable:
-    """The table of equilibria, for a reference cell with these sides in mm."""
+def table_rows(alpha: Array, beta: Array, states: LockedStates, sides: tuple[float, float]) -> StrainTable:
+    """The table of locked states, for a reference cell with these sides in mm."""
+    found, cell = states.found, states.cell
     x2, x3 = lattice_mm(found.pose, cell)
     F = np.stack([x2 / sides[0], x3 / sides[1]], axis=2)
-    E, S = green_lagrange(F), second_pk(F, cauchy_line_load(alpha, beta))
+    E, S = green_lagrange(F), second_pk(F, states.s[:, weave_axes(cell)])
     bad = found.status != "converged"
     E, S, x2, x3 = (np.where(bad[:, None], np.nan, array) for array in (E, S, x2, x3))
     R = np.where(bad, np.nan, found.R)
     gap = np.where(bad, np.nan, found.contacts.min_gap * cell.r1)
     contacts = np.where(bad, 0, ((found.lam > 1e-7) & found.contacts.present).sum(axis=(1, 2)))
     quality = RowQuality(R, gap, contacts, found.iterations)
-    return StrainTable(alpha, beta, E, S, x2, x3, unique, found.status, quality)
+    return StrainTable(alpha, beta, E, S, x2, x3, states.unique, found.status, quality, states=states)
 
 
 def table_provenance(

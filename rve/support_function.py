@@ -64,16 +64,6 @@ class SupportValue:
         """Side of the reference cell."""
         return self.sides_mm[1]
 
-    @property
-    def cells(self) -> tuple[int, int]:
-        """Primitive cells of the poses, see `Cell`."""
-        return self.weave.repeat
-
-    @property
-    def centres(self) -> str:
-        """Where the centres of rings may be, see `Cell`."""
-        return self.weave.centres
-
     def __len__(self) -> int:
         return len(self.h)
 
@@ -93,8 +83,8 @@ class SupportValue:
             "min_gap_mm": float(self.min_gap_mm[i]),
             "b_x_mm": self.b_x_mm,
             "b_y_mm": self.b_y_mm,
-            "cells": list(self.cells),
-            "centres": self.centres,
+            "cells": list(self.weave.repeat),
+            "centres": self.weave.centres,
         }
 
     def __str__(self) -> str:
@@ -128,7 +118,7 @@ def support(
     if not isinstance(cell, Cell):
         raise InputError("support takes a Cell and loads: support(Cell(r1=5, r2=0.5), [S11, S12, S22])")
     mine = (cell.weave.name, cell.cells, cell.centres)
-    if known is not None and (known.weave.name, known.cells, known.centres) != mine:
+    if known is not None and (known.weave.name, known.weave.repeat, known.weave.centres) != mine:
         raise InputError("known: is the answer of another weave or of a cell of another size; give one for this cell")
     options, S = options or DirectOptions(), checked_loads(S)
     sides_mm = reference_sides(cell, options)

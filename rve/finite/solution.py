@@ -231,7 +231,10 @@ def as_solution(problem: Problem, task: Task, found: Found) -> FiniteSolution:
             lowest,
             links_intact(check, task.keys),
         ),
-        walls=tuple(wall.moved(r1 * place) for wall, place in zip(problem.walls, con.placed.x[n:], strict=True)),
+        walls=tuple(
+            wall.moved(r1 * place) if isinstance(wall, RoundBody) else wall
+            for wall, place in zip(problem.walls, con.placed.x[n:], strict=True)
+        ),
         wall_force=-unit * pushes[n:],
         status=found.status,
         is_space=problem.is_space,

@@ -13,11 +13,11 @@ of `newton`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from rve.common import Array, Flags, Index, tell, way
+from rve.common import Array, Flags, tell, way
 from rve.common.factor import Factorizer
 from rve.finite.equations import gradients, spread
 from rve.finite.newton import Iteration, Step
@@ -88,7 +88,7 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
     factorize = Factorizer()
     history: list[Record] = []
     least, finest, ends = np.inf, state, 0
-    pace, status, is_minimum = Patience.of(options, len(state.mu)), "iterations", False
+    pace, status, is_minimum = Patience(options, len(state.mu)), "iterations", False
     for _ in range(options.max_iterations):
         most = float(state.mu.max())
         words = f"{len(task.force)} rings, iteration {len(history) + 1}, force x gap {most:.0e}"
@@ -117,7 +117,7 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
         if has_arrived and is_calm.all() and part < parts:
             part += 1
             task = replace(task, at=start.x + (whole - start.x) * part / parts)
-            pace, has_arrived = Patience.of(options, len(state.mu)), False
+            pace, has_arrived = Patience(options, len(state.mu)), False
         is_over = ~is_calm & pace.is_over(options, is_last)
         if has_arrived and (is_calm.any() or is_over.any()):
             if (is_over & (pace.lifts == options.retries)).any():
@@ -159,24 +159,16 @@ def _next_mu(state: State, task: Task, is_calm: Flags, lift: Array, options: Fin
     return np.where(is_lifted, level, np.where(is_calm, lower, state.mu)), is_lifted | (lift > 0.0)
 
 
-@dataclass(eq=False)
 class Patience:
     """How many iterations in a row the residual has not fallen, and of each ring (n,) how many what a step gains.
 
-    patience, lifts, slow, least: of each ring; idle, best: of the residual since the last change of mu.
+    patience, lifts, slow, least: of each of n rings; idle, best: of the residual since the last change of mu.
     """
 
-    patience: Array
-    lifts: Index
-    slow: Index
-    least: Array
-    idle: int = 0
-    best: float = np.inf
-
-    @classmethod
-    def of(cls, options: FiniteOptions, n: int) -> Patience:
-        """That of the first iterate of n rings."""
-        return cls(np.full(n, float(options.patience)), np.zeros(n, int), np.full(n, -1), np.full(n, np.inf))
+    def __init__(self, options: FiniteOptions, n: int) -> None:
+        self.patience, self.lifts = np.full(n, float(options.patience)), np.zeros(n, int)
+        self.slow, self.least = np.full(n, -1), np.full(n, np.inf)
+        self.idle, self.best = 0, np.inf
 
     def count(self, merit: float, gain: Array) -> None:
         """One more iterate; gain (n,) of the step that led to it, negative where there is none."""

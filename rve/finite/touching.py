@@ -179,37 +179,34 @@ def find_touching(
     """
     n, rings, limit = len(placed.x), placed.rings, 2.0 * wire + reach
     near = cKDTree(placed.x[:rings]).query_pairs(2.0 + limit, output_type="ndarray").astype(np.int64)
-    key = np.unique(np.concatenate([near.min(axis=1) * n + near.max(axis=1), linked[:, 0] * n + linked[:, 1]]))
+    ring, wall = np.repeat(np.arange(rings), placed.walls), np.tile(np.arange(rings, n), rings)
+    radius = placed.radius[wall - rings]
+    g = wall_gaps(placed.x[ring], placed.normal[ring], placed.x[wall], placed.normal[wall], radius)
+    kept = (g < reach) | np.isfinite(radius)  # balls may come from afar in one step
+    keys = near.min(axis=1) * n + near.max(axis=1), linked[:, 0] * n + linked[:, 1], (ring * n + wall)[kept]
+    key = np.unique(np.concatenate(keys))
     a, b = np.divmod(key, n)
     d, na, nb = placed.x[b] - placed.x[a], placed.normal[a], placed.normal[b]
+    two, at_wall = np.flatnonzero(b < rings), np.flatnonzero(b >= rings)
     parts = []
-    for first in range(0, max(len(a), 1), _CHUNK):
-        rows = slice(first, first + _CHUNK)
+    for first in range(0, max(len(two), 1), _CHUNK):
+        rows = two[first : first + _CHUNK]
         found = local_minima(d[rows], na[rows], nb[rows], reach=limit)
-        parts.append(replace(found, pair=found.pair + first))
+        parts.append(replace(found, pair=rows[found.pair]))
     minima = parts[0].join(parts[1:])
     deepest = np.full(len(key), np.inf)
     np.minimum.at(deepest, minima.pair, minima.distance - 2.0 * wire)
     at_points = points.minima(placed, key)
     minima = minima.take(~np.isin(minima.pair, at_points.pair))
-    free = len(minima.pair)
-    minima = minima.join([at_points, *(_beside_soft(minima, d, na, nb, wire, limit) if beside else ())])
-    ring, wall = np.repeat(np.arange(rings), placed.walls), np.tile(np.arange(rings, n), rings)
-    radius = placed.radius[wall - rings]
-    g = wall_gaps(placed.x[ring], placed.normal[ring], placed.x[wall], placed.normal[wall], radius)
-    kept = (g < reach) | np.isfinite(radius)  # balls may come from afar in one step
-    ring, wall, g = ring[kept], wall[kept], g[kept]
-    zero, row = np.zeros((len(ring), 3)), len(key) + np.arange(len(ring))
-    more = Minima(row, -placed.normal[wall], zero, zero, g + 2.0 * wire, np.ones(len(ring))).take(g < reach)
-    key = np.concatenate([key, ring * n + wall])
-    order = np.argsort(key, kind="stable")
-    minima, key, deepest = minima.join([more]), key[order], np.append(deepest, np.full(len(ring), np.inf))[order]
-    minima = replace(minima, pair=np.argsort(order, kind="stable")[minima.pair])
+    free, zero, g = len(minima.pair), np.zeros((len(at_wall), 3)), g[kept]
+    others = [at_points, *(_beside_soft(minima, d, na, nb, wire, limit) if beside else ())]
+    others.append(Minima(at_wall, -nb[at_wall], zero, zero, g + 2.0 * wire, np.ones(len(g))).take(g < reach))
+    minima = minima.join(others)
     order = np.argsort(minima.pair, kind="stable")
     minima, fixed = minima.take(order), order >= free
     gap = minima.distance - 2.0 * wire
     np.minimum.at(deepest, minima.pair, gap)
-    return Touching(placed, wire, reach, key, minima, fixed, gap, deepest, *np.divmod(key, n))
+    return Touching(placed, wire, reach, key, minima, fixed, gap, deepest, a, b)
 
 
 def _beside_soft(minima: Minima, d: Array, na: Array, nb: Array, wire: float, limit: float) -> list[Minima]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -40,6 +41,7 @@ class HalfSpace:
     normal: tuple[float, float, float]
     offset: float
     name: str = "wall"
+    load: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         """InputError for a normal that is not a direction, or numbers that are not finite."""
@@ -53,18 +55,9 @@ class HalfSpace:
         m = np.asarray(self.normal, dtype=float)
         return np.asarray(m / np.linalg.norm(m))
 
-    @property
-    def load(self) -> tuple[float, float, float]:
-        """None that moves it."""
-        return 0.0, 0.0, 0.0
-
     def row(self, wire: float) -> Row:
         """A point of the plane, `wire` mm off it."""
         return (self.offset + wire) * self.unit, self.unit, np.inf
-
-    def moved(self, place: Array) -> HalfSpace:
-        """Itself: half-spaces go where they are sent."""
-        return self
 
 
 @dataclass(frozen=True)

@@ -222,7 +222,7 @@ def solve_table_stewart_trinkle(
     rest = parts[0].join(parts[1:])
     status = np.where(tensile, rest.status, "compressive")
     found = Equilibrium(rest.pose, rest.lam, rest.contacts, rest.R, rest.steps, status, rest.rejected + 1)
-    table = table_rows(alpha, beta, cell, found, states.unique, sides)
+    table = table_rows(alpha, beta, replace(states, found=found), sides)
     provenance = table_provenance(cell, DirectOptions(), sides, status, time.perf_counter() - began)
     provenance |= {"method": "stewart-trinkle", "options": asdict(options), "simulated_s": float(rest.time.sum())}
     return replace(table, provenance=provenance, states=states)

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
-from rve.common.errors import NotConverged
+from rve.cli import main
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
-from rve.plots import corner_forces, draw_case
+from rve.plots import corner_forces
 from rve.solve import solve_table
 
 
@@ -28,7 +29,7 @@ def test_forces_on_the_corners_are_the_line_load(table):
     np.testing.assert_allclose(force.sum(axis=0), 0.0, atol=1e-12)
 
 
-def test_a_cell_that_does_not_lock_has_no_picture():
-    table = solve_table(Cell(), ([0.0], [100.0]))
-    with pytest.raises(NotConverged, match="compressive"):
-        draw_case(table)
+def test_a_cell_that_does_not_lock_has_no_picture(tmp_path):
+    words = ["case", "--alpha", "0", "--beta", "100", "--plot", str(tmp_path / "cell.png")]
+    failed = CliRunner().invoke(main, words)
+    assert (failed.exit_code, "compressive" in failed.output, [*tmp_path.iterdir()]) == (1, True, [])
