@@ -8,7 +8,8 @@ mesh or along the boundary.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,51 +31,51 @@ NEAR_BEND = 0.25
 """Nodes of a bent boundary move along it by at most this part of a facet, which changes the shape a little."""
 
 
+RIM = ""
+"""The name of the line of all boundary facets; edges have longer ones."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Sheet:
-    """Points (n, 2), cells (m, 3) counterclockwise, boundary facets `rim` (k, 2), and named `lines` of facets."""
+    """Points (n, 2), cells (m, 3) counterclockwise, and named `lines` of facets (k, 2), with that of the boundary.
+
+    `node`: the one that was added or moved last; `turns`: whether this gave old sides another direction.
+    """
 
     points: Array
     cells: np.ndarray
-    rim: np.ndarray
     lines: dict[str, np.ndarray]
-
-
-@dataclass(frozen=True, eq=False)
-class _Change:
-    """A node, new or moved, at `place`, with cells `removed` (k,) and `added` (j, 3) for it.
-
-    `edge`: the side that is cut. `turns`: whether old sides get another direction.
-    """
-
-    node: int
-    place: Array
-    removed: np.ndarray
-    added: np.ndarray
-    edge: tuple[int, int] | None = None
+    node: int = -1
     turns: bool = False
 
-    def sine(self, sheet: _Sheet) -> float:
-        """The least sine of the corners of the added cells."""
-        old = sheet.points[np.minimum(self.added, len(sheet.points) - 1)]
-        corners = np.where((self.added == self.node)[..., None], self.place, old)
-        return float(least_sine(corners).min(initial=1.0))
+    @property
+    def rim(self) -> np.ndarray:
+        """The boundary facets (k, 2)."""
+        return self.lines[RIM]
 
-    def applied(self, sheet: _Sheet) -> _Sheet:
-        """The sheet after the change."""
-        points = np.resize(sheet.points, (max(len(sheet.points), self.node + 1), 2))
-        points[self.node] = self.place
-        cells = np.concatenate([np.delete(sheet.cells, self.removed, axis=0), self.added])
-        lines = {name: self._cut(pairs) for name, pairs in sheet.lines.items()}
-        return _Sheet(points, cells, self._cut(sheet.rim), lines)
+    @cached_property
+    def sine(self) -> float:
+        """The least sine of the corners of the cells around the node."""
+        return float(least_sine(self.points[self.cells[np.nonzero(self.cells == self.node)[0]]]).min())
 
-    def _cut(self, pairs: np.ndarray) -> np.ndarray:
-        """Pairs of nodes (k, 2) with the pair `edge` replaced by its two halves."""
-        if self.edge is None:
-            return pairs
-        is_edge = (np.sort(pairs, axis=1) == sorted(self.edge)).all(axis=1)
-        halves = [np.where(pairs[is_edge] == end, self.node, pairs[is_edge]) for end in self.edge]
-        return np.concatenate([pairs[~is_edge], *halves])
+    def moved(self, node: int, place: Array) -> _Sheet:
+        """The sheet with a node moved to a place."""
+        points = self.points.copy()
+        points[node] = place
+        return replace(self, points=points, node=node, turns=True)
+
+    def cut(self, ends: list[int], place: Array, turns: bool = False) -> _Sheet:
+        """The sheet with a new node at a place of the side or cell with these ends; what has all of them is cut."""
+        new = len(self.points)
+
+        def parts(cells: np.ndarray) -> np.ndarray:
+            which, count = np.unique(np.nonzero(np.isin(cells, ends))[0], return_counts=True)
+            which = which[count == len(ends)]
+            pieces = (np.where(cells[which] == end, new, cells[which]) for end in ends)
+            return np.concatenate([np.delete(cells, which, axis=0), *pieces])
+
+        lines = {name: parts(pairs) for name, pairs in self.lines.items()}
+        return _Sheet(np.vstack([self.points, place]), parts(self.cells), lines, new, turns)
 
 
 def with_nodes_at(
@@ -85,22 +86,21 @@ def with_nodes_at(
     InputError, which begins with `wheres`, if it cannot.
     """
     tiny = SAME * float(np.hypot(*np.ptp(mesh.p, axis=1)))
-    points, rim = mesh.p.T, mesh.facets[:, mesh.boundary_facets()].T
-    distance, node = cKDTree(points).query(places)
+    distance, node = cKDTree(mesh.p.T).query(places)
     if distance.max(initial=0.0) < tiny:
         return mesh, edges, node
-    lines = {name: mesh.facets[:, facets].T for name, facets in edges.items()}
-    sheet = _Sheet(points, counterclockwise(points, mesh.t.T), rim, lines)
+    lines = {name: mesh.facets[:, facets].T for name, facets in (edges | {RIM: mesh.boundary_facets()}).items()}
+    sheet = _Sheet(mesh.p.T, counterclockwise(mesh.p.T, mesh.t.T), lines)
     kept = set(node[distance < tiny].tolist()) | _ends_of_lines(sheet)
     for k in np.flatnonzero(distance >= tiny):
         away = np.linalg.norm(sheet.points - places[k], axis=1)
         node[k] = np.argmin(away)
         if away[node[k]] >= tiny:
-            change = _best_change(sheet, places[k], kept, f"{wheres[k]}: ", tiny)
-            sheet, node[k] = change.applied(sheet), change.node
+            sheet = _with_node(sheet, places[k], kept, f"{wheres[k]}: ", tiny)
+            node[k] = sheet.node
         kept.add(int(node[k]))
     cut = type(mesh)(sheet.points.T.copy(), sheet.cells.T.copy())
-    return cut, {name: facets_between(cut, pairs) for name, pairs in sheet.lines.items()}, node
+    return cut, {name: facets_between(cut, sheet.lines[name]) for name in edges}, node
 
 
 def _ends_of_lines(sheet: _Sheet) -> set[int]:
@@ -112,8 +112,8 @@ def _ends_of_lines(sheet: _Sheet) -> set[int]:
     return kept
 
 
-def _best_change(sheet: _Sheet, place: Array, kept: set[int], where: str, tiny: float) -> _Change:
-    """The change that gives the place a node with the best cells; InputError if there is none.
+def _with_node(sheet: _Sheet, place: Array, kept: set[int], where: str, tiny: float) -> _Sheet:
+    """The sheet with a node at the place, and the best cells around it; InputError if there is none.
 
     On the boundary facets are cut, or their ends moved along it; inside corners are moved, cells and their sides cut.
     """
@@ -126,22 +126,22 @@ def _best_change(sheet: _Sheet, place: Array, kept: set[int], where: str, tiny: 
         ends = sheet.rim[facet].tolist()
         length = np.linalg.norm(np.diff(points[ends], axis=0))
         moves = [end for end in ends if end not in kept and _may_move(sheet, end, place, length)]
-        changes = [_cut_side(sheet, place, ends, False), *(_moved(sheet, place, end) for end in moves)]
+        found = [sheet.cut(ends, place), *(sheet.moved(end, place) for end in moves)]
     elif cell >= 0:
-        corners, new = sheet.cells[cell].tolist(), len(points)
+        corners = sheet.cells[cell].tolist()
         on_rim = set(np.unique(sheet.rim).tolist())
-        changes = [_moved(sheet, place, corner) for corner in corners if corner not in kept | on_rim]
-        sides = list(zip(corners, corners[1:] + corners[:1], strict=True))
-        changes.append(_Change(new, place, np.array([cell]), np.array([[*side, new] for side in sides])))
+        found = [sheet.moved(corner, place) for corner in corners if corner not in kept | on_rim]
+        found.append(sheet.cut(corners, place))
         in_lines = {frozenset(pair) for pairs in sheet.lines.values() for pair in pairs.tolist()}
+        sides = zip(corners, corners[1:] + corners[:1], strict=True)
         for a, b in (side for side in sides if frozenset(side) not in in_lines):
             along = points[b] - points[a]
             off = abs(cross(along, place - points[a])) / np.linalg.norm(along)
-            changes.append(_cut_side(sheet, place, [a, b], bool(off > tiny)))
+            found.append(sheet.cut([a, b], place, bool(off > tiny)))
     else:
         raise InputError(f"{where}is {away:g} mm away from the curtain, whose nearest node is at ({x:g}, {y:g})")
-    best = max(changes, key=lambda one: (one.sine(sheet) >= LEAST_SINE, not one.turns, one.sine(sheet)))
-    if best.sine(sheet) < LEAST_SINE:
+    best = max(found, key=lambda one: (one.sine >= LEAST_SINE, not one.turns, one.sine))
+    if best.sine < LEAST_SINE:
         raise InputError(
             f"{where}gets no node without a flat cell, the nearest one is {away:g} mm away at [{x:.12g}, {y:.12g}]; "
             f"ask for that place, or use another number of cells"
@@ -181,20 +181,6 @@ def _cell_around(sheet: _Sheet, place: Array, tiny: float) -> int:
     depth = (cross(side, to_place) / np.linalg.norm(side, axis=-1)).min(axis=1)
     cell = int(np.argmax(depth))
     return cell if depth[cell] >= -tiny else -1
-
-
-def _moved(sheet: _Sheet, place: Array, node: int) -> _Change:
-    star = np.flatnonzero((sheet.cells == node).any(axis=1))
-    return _Change(node, place, star, sheet.cells[star], turns=True)
-
-
-def _cut_side(sheet: _Sheet, place: Array, ends: list[int], turns: bool) -> _Change:
-    """The side between two nodes cut at a place."""
-    a, b = ends
-    beside = np.flatnonzero(np.isin(sheet.cells, ends).sum(axis=1) == 2)
-    new = len(sheet.points)
-    added = np.concatenate([np.where(sheet.cells[beside] == old, new, sheet.cells[beside]) for old in ends])
-    return _Change(new, place, beside, added, (a, b), turns)
 
 
 def least_sine(corners: Array) -> Array:
