@@ -18,7 +18,7 @@ from scipy.spatial import Delaunay
 from homogenize import CellInfo
 from macro_fem.fem.cells import counterclockwise, triangle_areas
 from macro_fem.scene.meshing.edges import inherited_edges, named_edges, paths
-from macro_fem.scene.meshing.mesh_files import cut_in_four, read_mesh
+from macro_fem.scene.meshing.mesh_files import read_mesh
 from macro_fem.scene.meshing.nodes import with_nodes_at
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
@@ -171,7 +171,7 @@ def rectangle(scene: Scene, aspect: float) -> CurtainMesh:
         y = np.linspace(0.0, H, max(1, round(n * H / W)) + 1)
     x = np.linspace(0.0, W, n + 1)
     is_diagonal = pattern == "diagonal"
-    mesh = skfem.MeshTri.init_tensor(x, y) if is_diagonal else cut_in_four(skfem.MeshQuad.init_tensor(x, y))
+    mesh = skfem.MeshTri.init_tensor(x, y) if is_diagonal else skfem.MeshQuad.init_tensor(x, y).to_meshtri(style="x")
     return CurtainMesh(mesh, pattern, named_edges(mesh, [], {}))
 
 

@@ -38,18 +38,10 @@ def read_mesh(curtain: MeshFile, source: Path) -> tuple[Any, dict[str, np.ndarra
         _check_cells(points, cells)
         mesh = (skfem.MeshTri if kinds[0] == "triangle" else skfem.MeshQuad)(points.T.copy(), cells.T.copy())
         _check_sides(mesh)
-        mesh = mesh if kinds[0] == "triangle" else cut_in_four(mesh)
+        mesh = mesh if kinds[0] == "triangle" else mesh.to_meshtri(style="x")
         return mesh, named_edges(mesh, [], physical_lines(data, mesh, used))
     except InputError as error:
         raise InputError(f"{source}: [curtain] file = {shown(curtain.file)}: {error}") from error
-
-
-def cut_in_four(quads: skfem.MeshQuad) -> skfem.MeshTri:
-    """Each quadrilateral cut along both diagonals; the numbers of its corners stay."""
-    centre = quads.p[:, quads.t].mean(axis=1)
-    new = quads.p.shape[1] + np.arange(quads.t.shape[1])
-    cells = [np.vstack([quads.t[i], quads.t[(i + 1) % 4], new]) for i in range(4)]
-    return skfem.MeshTri(np.hstack([quads.p, centre]), np.hstack(cells))
 
 
 def physical_lines(data: Any, mesh: Any, used: np.ndarray) -> dict[str, np.ndarray]:
@@ -58,25 +50,18 @@ def physical_lines(data: Any, mesh: Any, used: np.ndarray) -> dict[str, np.ndarr
     InputError for a group of which only a part lies on sides of cells.
     """
     names = {int(tag): str(name) for name, (tag, dim) in data.field_data.items() if dim == 1}
-    tags = data.cell_data.get("gmsh:physical", [])
-    in_sets = names.values() & data.cell_sets.keys()  # there a line may belong to several groups
-    found: dict[str, list[np.ndarray]] = {}
-    for number, block in enumerate(data.cells):
-        if block.type != "line":
-            continue
-        for name in in_sets:
-            found.setdefault(name, []).append(block.data[data.cell_sets[name][number]])
-        for one in np.unique(tags[number]) if tags else ():
-            if (name := names.get(int(one), str(int(one)))) not in in_sets:
-                found.setdefault(name, []).append(block.data[tags[number] == one])
+    pairs, sets = data.cells_dict.get("line", np.zeros((0, 2), int)), data.cell_sets_dict
+    found = {name: pairs[sets[name]["line"]] for name in names.values() if "line" in sets.get(name, {})}
+    tags = data.cell_data_dict.get("gmsh:physical", {}).get("line", ())
+    for tag in np.unique(tags):  # a line may belong to several groups, of which this is one
+        found.setdefault(names.get(int(tag), str(int(tag))), pairs[tags == tag])
     lines = {}
-    for name, blocks in found.items():
-        pairs = np.concatenate(blocks).astype(np.int64)
-        place = np.minimum(np.searchsorted(used, pairs), len(used) - 1)
-        place = place[(used[place] == pairs).all(axis=1)]
+    for name, own in found.items():
+        place = np.minimum(np.searchsorted(used, own), len(used) - 1)
+        place = place[(used[place] == own).all(axis=1)]
         on_sides = len(facets_between(mesh, place))
-        if 0 < on_sides < len(np.unique(np.sort(pairs, axis=1), axis=0)):
-            raise InputError(f"group {name!r}: only {on_sides} of its {len(pairs)} lines are sides of cells")
+        if 0 < on_sides < len(np.unique(np.sort(own, axis=1), axis=0)):
+            raise InputError(f"group {name!r}: only {on_sides} of its {len(own)} lines are sides of cells")
         if on_sides:
             lines[name] = place
     return lines
