@@ -91,8 +91,7 @@ def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
         )
     in_space, exact = solution.problem.fem.d == 3, EXACT[solution.problem.fem.d]
     T = solution.problem.fem.T if in_space else _across(solution)
-    each = (sparse.kron(A, sparse.eye(3)) if in_space else A for A in _of_one_component(solution))
-    K, M, lumped = (sparse.csc_matrix(T.T @ A @ T) for A in each)
+    K, M, lumped = (sparse.csc_matrix(T.T @ sparse.kron(A, sparse.eye(3)) @ T) for A in _of_one_component(solution))
     n = M.shape[0]
     C, most = sparse.csr_matrix((0, n)), n // 2
     if in_space:
@@ -111,8 +110,7 @@ def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
         is_taut = square > least
         square, shape = square[is_taut], shape[:, is_taut]
         ratio = (shape * (M @ shape)).sum(axis=0) / (shape * (lumped @ shape)).sum(axis=0)
-        shapes = np.zeros((len(square), solution.problem.disc.n_nodes, 3))
-        shapes[..., 0 if in_space else 2 :] = (T @ shape).T.reshape(*shapes.shape[:2], 3 if in_space else 1)
+        shapes = (T @ shape).T.reshape(-1, solution.problem.disc.n_nodes, 3)
         blocks = np.split(shapes, range(BLOCK, len(shapes), BLOCK))
         rough = np.concatenate([_roughness(solution, block) for block in blocks])
         is_smooth = rough < SMOOTH
@@ -183,13 +181,13 @@ def _roughness(solution: CurtainSolution, shapes: Array) -> Array:
 
 
 def _across(solution: CurtainSolution) -> sparse.csc_matrix:
-    """The matrix (n_nodes, n) from unknowns to nodes of motions across the plane."""
+    """T (3 n_nodes, n) of motions across the plane."""
     problem = solution.problem
-    supports, solver = problem.supports, replace(problem.scene.solver, space=True)
-    scene = replace(problem.scene, solver=solver)
-    fixed = build_supports(scene, problem.mesh, problem.disc, 1.0, frozenset()).mask[:, 2]
-    T = sparse.csc_matrix(sparse.eye(len(fixed)) if supports.bars is None else supports.bars)
-    return T[:, np.flatnonzero(~fixed & (np.diff(T.indptr) > 0))]
+    scene = replace(problem.scene, solver=replace(problem.scene.solver, space=True))
+    supports = build_supports(scene, problem.mesh, problem.disc)
+    T = sparse.csc_matrix(sparse.eye(len(supports.mask)) if supports.bars is None else supports.bars)
+    moves = ~supports.mask[:, 2] & (np.diff(T.indptr) > 0)
+    return sparse.csc_matrix(sparse.kron(T[:, np.flatnonzero(moves)], [[0.0], [0.0], [1.0]]))
 
 
 def _of_one_component(solution: CurtainSolution) -> tuple[sparse.spmatrix, ...]:

@@ -93,12 +93,6 @@ class Account:
     lost_by_locking: float = 0.0
     lost_by_damping: float = 0.0
 
-    @property
-    def balance(self) -> float:
-        """Energies plus losses minus work: constant as far as the steps are solved, N mm."""
-        lost = self.lost_by_scheme + self.lost_by_locking + self.lost_by_damping
-        return self.kinetic + self.potential + self.stored + lost - self.work
-
 
 def kinetic_energy(mass: Array, v: Array) -> float:
     """v.M v / 2 of masses (n,) and velocities (n, d), N mm."""
