@@ -21,10 +21,8 @@ where a direction is known that is nearer than this in the unit disc."""
 
 
 def with_strength(found: Demand) -> Demand:
-    """`found` with a law that knows the strength of its rings, of their material; as it is if none can be made.
-
-    It is exact at the directions that were asked, and at that of the largest utilisation of the curtain.
-    """
+    """`found` with a law that knows the strength of its rings, of their material: exact at the directions that were
+    asked, and at that of the largest utilisation of the curtain."""
     rows, cell = found.law.rows, found.rings.cell
     strength = strength_of_rows(rows, cell)
     for _ in range(LOOKS):
@@ -57,9 +55,8 @@ def strength_of_rows(rows: LockedRows, cell: Cell) -> Strength:
 
 def _with_strength(found: Demand, strength: Strength) -> Demand:
     """`found` with this strength in its law and in that of its curtain."""
-    law, solution = found.law, found.level.solution
-    inner = replace(law.inner, strength=strength)  # type: ignore[type-var]
-    law = replace(law, inner=inner, law=inner if law.law is law.inner else law.law)
+    solution, inner = found.level.solution, replace(found.law.inner, strength=strength)  # type: ignore[type-var]
+    law = replace(found.law, inner=inner, law=inner)
     own = replace(solution.problem.law.own, strength=strength)  # type: ignore[type-var]
     problem = replace(solution.problem, law=replace(solution.problem.law, own=own))
     return replace(found, law=law, level=replace(found.level, solution=replace(solution, problem=problem)))

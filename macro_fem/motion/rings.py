@@ -6,6 +6,7 @@ centres of balls.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -163,17 +164,17 @@ class MovingRings(Mover[RingFrame, RingScene]):
 
     def _check_balls(self, rings: FiniteSolution, t: float) -> None:
         """Failed where a ball would meet what balls beside a curtain by a law meet, and those beside rings do not."""
-        balls = [wall for wall in rings.walls if isinstance(wall, RoundBody)]
-        reach = [(1.0 - NEAR) * ball.radius for ball in balls]
-        for k, ball in enumerate(balls):
-            meets = [
-                w.name for w in rings.walls if isinstance(w, HalfSpace) and w.unit @ ball.place - w.offset < reach[k]
-            ]
-            away = [float(np.linalg.norm(np.subtract(one.place, ball.place))) for one in balls[:k]]
-            meets += [one.name for one, d in zip(balls, away, strict=False) if d - one.radius < reach[k]]
-            for name in meets:
-                words = f"{ball.name} meets {name} before {t:.6g} s"
-                raise Failed("stalled", f"{words}: beside rings balls meet rings alone; end there, or ask a law")
+        for k, ball in enumerate(rings.walls):
+            if isinstance(ball, HalfSpace):
+                continue
+            for other in rings.walls[:k]:  # half-spaces come before balls
+                if isinstance(other, HalfSpace):
+                    away = float(other.unit @ ball.place) - other.offset
+                else:
+                    away = math.dist(other.place, ball.place) - other.radius
+                if away < (1.0 - NEAR) * ball.radius:
+                    words = f"{ball.name} meets {other.name} before {t:.6g} s"
+                    raise Failed("stalled", f"{words}: beside rings balls meet rings alone; end there, or ask a law")
 
     def peaks(self, frame: RingFrame) -> list[float]:
         """The largest contact force in N, the least gap in mm, whether links are intact, iterations."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -66,9 +65,7 @@ class EveryRingSolution(Solution):
     def summary(self) -> dict[str, Any]:
         """The numbers of summary.json: lengths in mm, forces in N; null for forces where there are none."""
         rings, solution, contacts = self.scene, self.found, self.found.contacts
-        has_forces = bool(np.isfinite(contacts.force).all())
-        largest = float(contacts.force.max(initial=0.0)) if has_forces else math.nan
-        supports = []
+        largest, supports = float(contacts.force.max(initial=0.0)), []  # nan where there are no forces
         shares = own_forces([held for _, held in rings.groups], solution.reaction)
         for (name, _), (own, part, most) in zip(rings.groups, shares, strict=True):
             points = [
@@ -93,7 +90,7 @@ class EveryRingSolution(Solution):
             "links_intact": contacts.links_intact,
             "kkt_residual": or_none(solution.kkt_residual),
             "way_left_mm": solution.way_left_mm,
-            "contacts": int((contacts.force > 1e-6 * largest).sum()) if has_forces else None,
+            "contacts": int((contacts.force > 1e-6 * largest).sum()) if np.isfinite(largest) else None,
             "largest_contact_force_N": or_none(largest),
             "total_load_N": solution.load.sum(axis=0).tolist(),
             "support_forces": supports,
