@@ -67,11 +67,39 @@ class MembraneSolution(Solution):
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        return self._summary(picture=False)
+        summary = files.summarize(self.loaded)
+        if self.levels:
+            lines = [files.bounds_summary(level) for level in self.levels]
+            summary |= {"bounds": lines[-1], "levels": lines} | files.interval_summary(self.levels[-1])
+        if self.demand is not None:
+            summary |= self.demand.to_dict()
+        summary |= obstacle_summary(self._shown)
+        if self.combinations:
+            summary |= envelope([(one, found.summary) for one, found in self.combinations])
+            failed = [row for row in summary["combinations"] if row["status"] != Status.CONVERGED]
+            if failed and summary["status"] == Status.CONVERGED:
+                message = f"combination {failed[0]['name']}: {failed[0]['message']}"
+                summary |= {"status": failed[0]["status"], "message": message}
+        summary["order"] = order(self.loaded, summary)
+        summary["features"] = files.features(self.loaded, bounds=bool(self.levels), picture=False)
+        if len(self.steps) > 1:
+            summary["steps"] = [
+                {
+                    "step": step,
+                    "factor": step / len(self.steps),
+                    "status": one.status,
+                    "mean_height_mm": one.mean_height(),
+                    "lowest_point_mm": float(one.x[:, 1].min()),
+                    "potential_primal_N_mm": one.primal,
+                }
+                for step, one in enumerate(self.steps, 1)
+            ]
+        return summary
 
     def _write(self, staged: Path, wanted: Pictures) -> dict[str, Any]:
         wanted.check(self.scene)
-        summary = self._summary(picture=wanted.picture)
+        features = files.features(self.loaded, bounds=bool(self.levels), picture=wanted.picture)
+        summary = self.summary | {"features": features}
         area = self.solution.problem.disc.cell_area
         error = {"error_N_mm_per_mm2": self.levels[-1].bounds.error / area} if self.levels else {}
         write_mesh_file(staged / "curtain.vtu", files.curtain_mesh(self.loaded, error))
@@ -127,36 +155,6 @@ class MembraneSolution(Solution):
     def _shown(self) -> list[CurtainSolution]:
         """The load steps, the last one with its forces."""
         return [*self.steps[:-1], self.loaded]
-
-    def _summary(self, *, picture: bool) -> dict[str, Any]:
-        summary = files.summarize(self.loaded)
-        if self.levels:
-            lines = [files.bounds_summary(level) for level in self.levels]
-            summary |= {"bounds": lines[-1], "levels": lines} | files.interval_summary(self.levels[-1])
-        if self.demand is not None:
-            summary |= self.demand.to_dict()
-        summary |= obstacle_summary(self._shown)
-        if self.combinations:
-            summary |= envelope([(one, found.summary) for one, found in self.combinations])
-            failed = [row for row in summary["combinations"] if row["status"] != Status.CONVERGED]
-            if failed and summary["status"] == Status.CONVERGED:
-                message = f"combination {failed[0]['name']}: {failed[0]['message']}"
-                summary |= {"status": failed[0]["status"], "message": message}
-        summary["order"] = order(self.loaded, summary)
-        summary["features"] = files.features(self.loaded, bounds=bool(self.levels), picture=picture)
-        if len(self.steps) > 1:
-            summary["steps"] = [
-                {
-                    "step": step,
-                    "factor": step / len(self.steps),
-                    "status": one.status,
-                    "mean_height_mm": one.mean_height(),
-                    "lowest_point_mm": float(one.x[:, 1].min()),
-                    "potential_primal_N_mm": one.primal,
-                }
-                for step, one in enumerate(self.steps, 1)
-            ]
-        return summary
 
 
 def order(solution: CurtainSolution, summary: dict[str, Any]) -> dict[str, Any]:
