@@ -87,8 +87,7 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
         summary = run_motion(scene, law_path, out, goes_on=goes_on, **files)
         say(*motion_lines(summary, out))
     _answer_or_go_on(summary, "run", scene, law_path, "--out", out)
-    if "order" in summary:
-        _say_next_of_curtain(out, summary["order"]["rings"])
+    _say_next_of_curtain(out, summary)
 
 
 def _answer_or_go_on(summary: dict[str, Any], command: str, scene: Path, law_path: Path | None, *more: Any) -> None:
@@ -168,7 +167,7 @@ def sweep(out: Path, arguments: tuple[str, ...], jobs: int, cluster: str | None)
     scenes = [Path(one) for one in takewhile(lambda one: not one.startswith("-"), arguments)]
     if not scenes:
         raise InputError("SCENE: name at least one file, before the options")
-    further = further_options(arguments[len(scenes) :])
+    further = further_options(arguments[len(scenes) :], ("--out", "--report", "--dxf"))
     items = []
     for scene in scenes:
         folder = out.resolve() / scene.stem
@@ -179,7 +178,7 @@ def sweep(out: Path, arguments: tuple[str, ...], jobs: int, cluster: str | None)
         return {name: record.get(name, "") for name in COLUMNS}
 
     first = out / run_sweep(items, out, columns, jobs=jobs, cluster=cluster)[0]["name"]
-    _say_next_of_curtain(first, read_json_object(first / "summary.json")["order"]["rings"])
+    _say_next_of_curtain(first, read_json_object(first / "summary.json"))
 
 
 def _beside(out: Path, what: str) -> Path:
@@ -187,9 +186,9 @@ def _beside(out: Path, what: str) -> Path:
     return out.parent / f"{out.resolve().name}_{what}"
 
 
-def _say_next_of_curtain(out: Path, count: int | None) -> None:
-    """How to see every ring of the curtain in a folder, if its law has rings."""
-    if count is None:
+def _say_next_of_curtain(out: Path, summary: dict[str, Any]) -> None:
+    """How to see every ring of the curtain in a folder, if it is at rest and its law has rings."""
+    if (count := summary.get("order", {}).get("rings")) is None:
         return
     words: list[Any] = ["--max-rings", round(1.05 * count)] if count > MOST_RINGS else []
     words += ["--out", _beside(out, "rings")]

@@ -74,6 +74,7 @@ macro_fem size scene.toml --vary mass --from 1 --to 2 --factor nan -> --factor =
 macro_fem size scene.toml --vary r2 --from 0.4 --to 0.6 --factor 1 -> Error: --vary r2: needs the rings, by --rings
 macro_fem size scene.toml --vary mass --from 1 --to 2 --factor 1e6 -> no mass from 1 to 2 holds with a factor
 macro_fem size scene.toml --vary pitch --from 120 --to 150 --factor 1 -> divides the edge of 330 mm
+macro_fem sweep scene.toml --out new --report r.pdf -> names one file for all of its items
 macro_fem localize curtain --out new --window 0,0,nan,9 -> window
 macro_fem localize curtain --out new --window 5000,5000,6000,6000 -> not one ring
 macro_fem localize curtain --out new --max-rings 3 -> --max-rings

@@ -93,6 +93,8 @@ def test_scenes_side_by_side(tmp_path):
     run(macro_fem, "sweep", *scenes, "--no-picture", "--out", tmp_path / "one")
     for name in ("low/curtain.vtu", "low/support_forces.csv", "high/curtain.vtu", "sweep.csv"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "out" / name).read_bytes(), name
+    scenes[0].write_text(SCENE.format(height=50.0) + "motion = {duration = 1e-3}")
+    assert run(macro_fem, "sweep", scenes[0], "--no-picture", "--out", tmp_path / "moved").exit_code == 0
 
 
 def test_what_was_read_has_changed_and_is_run_again(tmp_path):

@@ -176,14 +176,14 @@ def _end_with_parent() -> None:
     threading.Thread(target=wait, daemon=True).start()
 
 
-def further_options(words: Sequence[str], given: Sequence[str] = ("--out",)) -> list[str]:
+def further_options(words: Sequence[str], given: Sequence[str]) -> list[str]:
     """Options for every item with the paths of files that exist made absolute, as in `--law law.json` or
-    `--law=law.json`; InputError for those that are `given` by the sweep."""
+    `--law=law.json`; InputError for those that are `given` by the sweep or name one file for all items."""
     found = []
     for word in words:
         option, sign, path = word.rpartition("=")
         if word.partition("=")[0] in given:
-            raise InputError(f"{word.partition('=')[0]}: is given by the sweep")
+            raise InputError(f"{word.partition('=')[0]}: is given by the sweep, or names one file for all of its items")
         found.append(f"{option}{sign}{Path(path).resolve()}" if path and Path(path).exists() else word)
     return found
 
