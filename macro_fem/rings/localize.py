@@ -18,7 +18,7 @@ import numpy as np
 from msgspec import Meta
 from scipy.spatial.transform import Rotation
 
-from macro_fem.fem.cells import mean_at_corners, padded, signed_areas
+from macro_fem.fem.cells import mean_at_corners, padded, triangle_areas
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites, curtain_file, read_curtain
 from macro_fem.rings.field import RECORD, RingField, WorstCell
@@ -131,34 +131,25 @@ def find_sites(
 
     sides: b_x, b_y in r1 in the weave's own axes. A point on the edge of two triangles belongs to one of them.
     """
+    from shapely import STRtree, points, polygons
+
     middle, step = 0.5 * (curtain.X.min(axis=0) + curtain.X.max(axis=0)), cell.r1 * np.array(sides)
     # axes is orthogonal, so that it is its own inverse from the right
-    corners = ((curtain.X - middle) @ axes / step)[curtain.triangles]
-    parts = []
-    for ring, share in enumerate(reference_shares(cell)):
-        triangle, ij = _inside(corners - share)
-        index, X = np.column_stack([np.full(len(ij), ring), ij]), ((ij + share) * step) @ axes.T + middle
-        parts.append(Sites(index, X, triangle))
-    sites = parts[0].join(parts[1:])
+    corners, shares = ((curtain.X - middle) @ axes / step)[curtain.triangles], reference_shares(cell)
+    low = np.floor(corners.min(axis=(0, 1)) - shares.max(axis=0)).astype(int)
+    high = np.ceil(corners.max(axis=(0, 1)) - shares.min(axis=0)).astype(int) + 1
+    ranges = np.arange(len(shares)), *map(np.arange, low, high)
+    index = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, 3)
+    place = index[:, 1:] + shares[index[:, 0]]
+    found = STRtree(polygons(corners)).query(points(place), predicate="dwithin", distance=1e-9)
+    ring, triangle = found[:, np.lexsort(found[::-1])]
+    ring, first = np.unique(ring, return_index=True)
+    sites = Sites(index[ring], (place[ring] * step) @ axes.T + middle, triangle[first])
     if window is None:
         return sites
     x0, y0, x1, y1 = window
     x, y = sites.X.T
     return sites.take((x >= x0) & (x <= x1) & (y >= y0) & (y <= y1))
-
-
-def _inside(corners: Array) -> tuple[Index, Index]:
-    """Triangle (n,) and whole-number point (n, 2) for all whole-number points in triangles with corners (t, 3, 2); of
-    several triangles the first."""
-    from shapely import STRtree, points, polygons
-
-    (low_i, low_j), (high_i, high_j) = np.floor(corners.min(axis=(0, 1))), np.ceil(corners.max(axis=(0, 1)))
-    i, j = np.meshgrid(np.arange(low_i, high_i + 1), np.arange(low_j, high_j + 1), indexing="ij")
-    ij = np.column_stack([i.ravel(), j.ravel()])
-    found = STRtree(polygons(corners)).query(points(ij), predicate="dwithin", distance=1e-9)
-    point, triangle = found[:, np.lexsort(found[::-1])]
-    first = np.unique(point, return_index=True)[1]
-    return triangle[first], ij[point[first]].astype(int)
 
 
 def place_rings(
@@ -222,8 +213,6 @@ def polar(F: Array, normal: Array) -> Array:
 
 def _normals(curtain: Curtain) -> Array:
     """Normals (t, 3) of the triangles, averaged over their neighbours by the area of the triangles."""
-    corners = curtain.x[curtain.triangles]
-    own = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    own *= np.sign(signed_areas(curtain.X[curtain.triangles]))[:, None]
+    own = triangle_areas(curtain.X[curtain.triangles])[:, None] * np.cross(curtain.F[:, :, 0], curtain.F[:, :, 1])
     around = mean_at_corners(curtain.triangles, own)[curtain.triangles].mean(axis=1)
     return np.asarray(around / np.maximum(np.linalg.norm(around, axis=1, keepdims=True), 1e-300))
