@@ -10,6 +10,8 @@ q C_D (a . w / |a|)^2, on 1/|a| layers.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
@@ -124,7 +126,7 @@ def wind_summary(solution: CurtainSolution) -> dict[str, list[dict[str, float]]]
             continue
         assert cell is not None  # see `macro_fem.scene.loads.nodal_forces`
         alone, a = ring_solidity(cell), vector_areas(problem, solution.F)
-        layers = layers_of(problem, wind, solution.x, a)
+        layers = layers_of(problem, replace(wind, follows=False), solution.x, a)  # on its way
         front = float(reference @ (1.0 / layers))
         line = {
             "speed_m_per_s": wind.speed,
