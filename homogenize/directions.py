@@ -43,7 +43,7 @@ class Directions:
         x, s = disc(S), cauchy
         if is_mirrored:
             x, s = disc(np.vstack([S, mirror(S)])), np.vstack([cauchy, mirror(cauchy)])
-        first = np.sort(np.unique(np.round(x / SAME), axis=0, return_index=True)[1])
+        first = each_once(x)
         x, s = x[first], s[first]
         try:
             triangles, hull = Delaunay(disc(s / trace(s)[:, None])).simplices, ConvexHull(x).equations
@@ -82,6 +82,12 @@ class Directions:
         return rows, weights
 
 
+def each_once(x: Array, is_mirrored: bool = False) -> NDArray[np.intp]:
+    """Numbers (k,) in turn of the different ones among points (n, 2) of the disc; of mirror images one if asked for."""
+    x = np.column_stack([x[:, 0], np.abs(x[:, 1])]) if is_mirrored else x
+    return np.sort(np.unique(np.round(x / SAME), axis=0, return_index=True)[1])
+
+
 def tensile_part(S: Array) -> Array:
     """Line loads S (n, 3) with compressive principal values set to zero.
 
@@ -101,7 +107,7 @@ def hull_of(S: Array, is_mirrored: bool) -> Array:
     InputError for fewer than four loads, and loads on one line.
     """
     x = disc(np.vstack([S, mirror(S[np.abs(S[:, 1]) > SAME])]) if is_mirrored else S)
-    few = len(np.unique(np.round(x / SAME), axis=0)) < 4
+    few = len(each_once(x)) < 4
     if few or np.linalg.matrix_rank(x - x[0], SAME) < 2:
         what = "are fewer than four" if few else "lie on one line"
         raise InputError(f"the rows' loads {what}: a law needs loads that differ in angle and in ratio")
@@ -111,12 +117,13 @@ def hull_of(S: Array, is_mirrored: bool) -> Array:
 def folds_of(S: Array, is_mirrored: bool) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
     """Numbers of loads that are left out together, and of those that stay, FOLDS times; none if the loads are too few.
 
-    Each load is left out once with its neighbours kept; corners of the hull of all stay in, they span it.
+    Of loads that are the same, or mirror images, the first stands for all. Each is left out once with its neighbours
+    kept; corners of the hull of all stay in, they span it.
     """
-    if len(S) < 2 * FOLDS:
+    once = each_once(disc(S), is_mirrored)
+    if len(once) < 2 * FOLDS:
         return []
-    away = np.abs(disc(S)[:, None] - hull_of(S, is_mirrored)).max(axis=2).min(axis=1)
-    inner = np.flatnonzero(away > 1e-7)
+    inner = once[np.abs(disc(S[once])[:, None] - hull_of(S, is_mirrored)).max(axis=2).min(axis=1) > 1e-7]
     if len(inner) < 2 * FOLDS:
         return []
-    return [(inner[fold::FOLDS], np.setdiff1d(np.arange(len(S)), inner[fold::FOLDS])) for fold in range(FOLDS)]
+    return [(inner[fold::FOLDS], np.setdiff1d(once, inner[fold::FOLDS])) for fold in range(FOLDS)]

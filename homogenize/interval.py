@@ -21,6 +21,7 @@ from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.stored import StoredLaw
 from homogenize.strength import Strength, strength_of_table
+from rve import read_table
 from rve.common import Array, InputError
 
 
@@ -85,8 +86,6 @@ def interval_of_table(path: str | Path) -> LawInterval:
 
     Its law is the inner one.
     """
-    from rve import read_table
-
     table = read_table(path)
     found = law_interval(rows_from_table(table), cell=cell_of(table), strength=strength_of_table(table))
     return replace(found, source=str(path))

@@ -188,7 +188,7 @@ def strength_of_table(table: StrainTable) -> Strength | None:
 
 
 def off_grid(strength: Strength) -> OffGrid | None:
-    """Relative errors at rows inside the hull, each left out once with its neighbours kept; None with too few rows."""
+    """Relative errors at loads inside the hull, each left out once with its neighbours kept; None with too few."""
     degree = np.array([[1.0], [1.0], [2.0]])
     values = np.stack([strength.first_yield, strength.collapse, np.sqrt(strength.compliance)])
     errors = []

@@ -72,8 +72,7 @@ def inner_law(rows: LockedRows, stiffness: Array | None = None, cell: CellInfo |
 def rim_kinks(E: Array, triangles: Index) -> Array:
     """Loads of rank one (k, 3) under which two corners of a triangle (m, 3) of the hull of strains E (n, 3) do the same
     work, and none more: h has a kink there, which loads beside it miss."""
-    both_ways = [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]  # a side has two such loads
-    ends = np.unique(triangles[:, both_ways].reshape(-1, 2), axis=0)
+    ends = np.unique(triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2), axis=0)  # a side has two
     first, way = E[ends[:, 0]], E[ends[:, 1]] - E[ends[:, 0]]
     x, y = disc(way).T
     with np.errstate(invalid="ignore"):  # nan where no load of rank one does no work along the side

@@ -1,10 +1,9 @@
 """From a table file to a law with its error report: test the rows, build the law, measure it, write it.
 
-Rings that give, or contacts of finite stiffness, make the locked strain depend on the size of the load, E = dh/dS + A
-S. The compliance D = dE/dS of a row holds both: the bend of the locking surface, which has no part along S because h is
-homogeneous of degree one, and A. So S:D S = S:A S, and one positive definite A with the symmetry of the weave is fitted
-to these. The strength of the law keeps S:D S of every direction (`homogenize.strength`), of which
-`homogenize.laws.giving` makes the law of elastic curtains.
+Rings that give make the locked strain depend on the size of the load, E = dh/dS + A S. The compliance D = dE/dS of a
+row holds both: the bend of the locking surface, none along S because h is homogeneous of degree one, and A. So S:D S =
+S:A S, and one positive definite A with the symmetry of the weave is fitted to these. The strength of the law keeps S:D
+S of every direction (`homogenize.strength`), of which `homogenize.laws.giving` makes the law of elastic curtains.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
-from homogenize.directions import hull_of
+from homogenize.directions import each_once, hull_of
 from homogenize.fitting.bounds import inner_law, outer_law
 from homogenize.fitting.refine import RESOLUTION, Resolution, refined_half_spaces
 from homogenize.fitting.report import error_report
@@ -32,6 +31,7 @@ from homogenize.laws.stored import StoredLaw
 from homogenize.strength import strength_of_table
 from rve.common import Array, InputError, Typed, as_html, checksum
 from rve.common.rings import STEEL_KG_PER_MM3, check_rings
+from rve.common.tensor import disc, trace
 
 if TYPE_CHECKING:
     from rve import StrainTable
@@ -113,7 +113,6 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
         "net": lambda _: ring_net(cell),
     }[options.kind]
     law = replace(build(rows), strength=strength_of_table(table))
-    refit = None if options.kind == "net" else build  # the net does not depend on the rows
     provenance = {
         "kind": options.kind,
         "rows": len(rows),
@@ -125,7 +124,7 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
         "python": platform.python_version(),
         "numpy": np.__version__,
     }
-    report = replace(error_report(law, rows, found, refit), kind=options.kind)
+    report = replace(error_report(law, rows, found, None if options.kind == "net" else build), kind=options.kind)
     return FitResult(replace(law, provenance=provenance | {"report": asdict(report)}), report)
 
 
@@ -137,9 +136,10 @@ def stiffness_of(table: StrainTable) -> tuple[Array, str]:
     if table.compliance is None:
         return STATED_STIFFNESS * np.eye(3), f"stated: {STATED_STIFFNESS:g} N/mm for every strain, not from the table"
     work = work_along(table.S, table.compliance)
-    known = table.converged & table.unique & np.isfinite(work) & (work > 0.0)
-    if not known.any():
+    known = np.flatnonzero(table.converged & table.unique & np.isfinite(work) & (work > 0.0))
+    if not len(known):
         raise InputError("no row of the table has a compliance with S:D S > 0")
+    known = known[each_once(disc(table.S[known] / trace(table.S[known])[:, None]), table.is_mirrored)]
     A = constant_compliance(table.S[known], work[known], table.is_mirrored)
     share = work_along(table.S[known], A) / work[known]
     told = f"S:D S of the rows times {share.min():.3g} to {share.max():.3g}"

@@ -10,6 +10,7 @@ disc, closely, because a polyhedron carries no load outside the hull of its norm
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import permutations
 from typing import Annotated
 
 import numpy as np
@@ -61,15 +62,13 @@ class Nodes:
 
     def slope(self, node: Index, way: Array, last: bool) -> Array:
         """Slope of h at nodes (m,) along load changes `way` (m, 3): the largest on leaving, the least on arriving."""
-        sign = -1.0 if last else 1.0
         order = np.argsort(self.of_row, kind="stable")
         first = np.searchsorted(self.of_row[order], np.arange(len(self.x) + 1))
-        best = double_dot(way, self.E[order[first[node]]])
-        for extra in range(1, int(np.diff(first).max())):
-            more = first[node] + extra < first[node + 1]
-            other = double_dot(way[more], self.E[order[first[node[more]] + extra]])
-            best[more] = sign * np.maximum(sign * best[more], sign * other)
-        return best
+        rows = first[node + 1] - first[node]
+        begin = np.cumsum(rows) - rows
+        row = order[np.repeat(first[node] - begin, rows) + np.arange(rows.sum())]
+        work = double_dot(np.repeat(way, rows, axis=0), self.E[row])
+        return np.asarray((np.minimum if last else np.maximum).reduceat(work, begin))
 
 
 def nodes_of(rows: LockedRows) -> Nodes:
@@ -139,12 +138,10 @@ def in_triangles(nodes: Nodes, triangles: Index) -> tuple[Array, Array]:
     """
     corners = nodes.h[triangles].sum(axis=1)
     beside = 2.0 * corners
-    for a in range(3):
-        for b in range(3):
-            if a != b:
-                i, j = triangles[:, a], triangles[:, b]
-                way = from_disc(nodes.x[j]) - from_disc(nodes.x[i])
-                beside = beside + nodes.slope(i, way, last=False) / 3.0
+    for a, b in permutations(range(3), 2):
+        i, j = triangles[:, a], triangles[:, b]
+        way = from_disc(nodes.x[j]) - from_disc(nodes.x[i])
+        beside = beside + nodes.slope(i, way, last=False) / 3.0
     middle = beside / 4.0 - corners / 6.0
     return nodes.x[triangles].mean(axis=1), (corners + 3.0 * beside + 6.0 * middle) / 27.0
 

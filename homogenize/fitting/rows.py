@@ -81,8 +81,7 @@ def rows_from_table(table: StrainTable) -> LockedRows:
     size = trace(table.S)
     finite = np.isfinite(table.S).all(axis=1) & np.isfinite(table.E).all(axis=1)
     ok = table.converged & finite & (size > 0.0)
-    determinant = table.S[:, 0] * table.S[:, 2] - table.S[:, 1] ** 2
-    tensile = determinant >= -ROUNDING * size**2
+    tensile = eigenvalues(table.S)[0] >= -ROUNDING * size
     dropped = [f"row {i}: status {table.status[i]}" for i in np.flatnonzero(~table.converged)]
     dropped += [f"row {i}: not a finite load with S11 + S22 > 0" for i in np.flatnonzero(table.converged & ~ok)]
     dropped += [f"row {i}: the load is not tensile" for i in np.flatnonzero(ok & ~tensile)]
@@ -94,9 +93,8 @@ def rows_from_table(table: StrainTable) -> LockedRows:
     _, index, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
     first, earlier = np.sort(index), index[inverse.ravel()]
     dropped += [f"row {keep[i]}: repeats row {keep[j]}" for i, j in enumerate(earlier) if i != j]
-    keep, unique = keep[first], np.asarray(table.unique, bool)[keep[first]]
-    h = double_dot(S[first], E[first])
-    return LockedRows(S[first], E[first], h, unique, keep, tuple(dropped), table.is_mirrored)
+    S, E, keep = S[first], E[first], keep[first]
+    return LockedRows(S, E, double_dot(S, E), table.unique[keep], keep, tuple(dropped), table.is_mirrored)
 
 
 def with_mirror(rows: LockedRows) -> LockedRows:

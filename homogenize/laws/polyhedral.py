@@ -1,7 +1,7 @@
 """The polyhedral law: the rows' own half-spaces, from outside or from inside, no fit at all.
 
 Outer form: {E : S_i:E <= h_i}, all that the rows allow. Inner form: the hull of the rows' strains minus the tensile
-cone, all that the rows reach; its half-spaces are the hull's tensile facets and `RIM` loads of rank one.
+cone, all that the rows reach; its half-spaces are the hull's tensile facets and loads of rank one.
 """
 
 from __future__ import annotations

@@ -85,8 +85,7 @@ def locked_strain(law: MembraneLaw, alpha_deg: Array, beta_deg: Array, rows: Loc
     """
     if not law.compliance.any():
         raise InputError(f"kind = {law.name}: the law has no stiffness when locked, so no strain tells a load")
-    alpha, beta = np.broadcast_arrays(np.atleast_1d(np.asarray(alpha_deg, float)), np.atleast_1d(beta_deg))
-    beta = np.asarray(beta, float)
+    alpha, beta = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, float)) for x in (alpha_deg, beta_deg)))
     scale = OFFSET / float(np.abs(law.compliance @ [0.5, 0.0, 0.5]).max())  # trace of S in X = E + A S, N/mm
     state = _newton(law, scale, alpha, beta, _start(law, scale, alpha, beta))
     for factor in RETRIES:

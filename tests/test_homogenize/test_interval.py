@@ -30,8 +30,7 @@ def test_the_law_of_a_file_lies_between_its_inner_and_outer_law():
     assert (outer >= law - 1e-9).all()
     assert found.width(S).max() < 0.02
     assert found.raised < 1e-8
-    rows = found.rows
-    assert np.abs(found.width(rows.S)).max() < 2e-5
+    assert np.abs(found.width(found.rows.S)).max() < 2e-5
 
 
 def test_rows_that_missed_the_largest_work_are_raised_to_what_others_do():
