@@ -21,7 +21,7 @@ from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.pose import start_pose
 from rve.geometry.weave import WEAVES
 from rve.solve import reference_sides
-from rve.strained.placed import axes_of_weave, neighbours, reference_shares, shares
+from rve.strained.placed import axes_of_weave, neighbours, reference_shares
 
 if TYPE_CHECKING:
     from rve.finite.solution import FiniteSolution
@@ -105,8 +105,7 @@ class FiniteMesh:
         """Centres (n, 3) in mm and unit normals (n, 3) of the slack weave of largest clearance."""
         pose = start_pose(self.cell.weave, 1)
         axes = axes_of_weave(self.cell, self.hang_deg)
-        share = np.concatenate([np.zeros((1, 1, 2)), shares(pose)], axis=1)[0]
-        ij = self.index[:, 1:] + share[self.index[:, 0]]
+        ij = self.index[:, 1:] + reference_shares(self.cell)[self.index[:, 0]]
         flat = self.cell.r1 * (ij[:, :1] * pose.a1 + ij[:, 1:] * pose.a2) @ axes.T
         normal = pose.normals[0, self.index[:, 0]]
         zero = np.zeros(len(flat))

@@ -54,10 +54,7 @@ class FiniteOptions:
 @dataclass(frozen=True, eq=False)
 class RingInertia:
     """The term |x - x_hat|^2_M / (2 (beta h)^2) of a time step, without units: weight (n,) over (beta h)^2, where the
-    centres would go without forces (n, 3), the weight (n,) of normals and where these would go (n, 3).
-
-    A ring that does not spin about its axis turns like a point of its mass on its axis, one radius of gyration about a
-    diameter away from the centre.
+    centres would go without forces (n, 3), the weight (n,) of normals and where these would go (n, 3); see `step`.
     """
 
     weight: Array

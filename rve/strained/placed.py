@@ -29,19 +29,19 @@ def axes_of_weave(cell: Cell, hang_deg: float) -> Array:
 
 
 def shares(pose: Pose) -> Array:
-    """Centres of all classes but the first as shares (n, K - 1, 2) of the two lattice vectors."""
+    """Centres of rings as shares (n, K, 2) of the two lattice vectors; those of the first class are none."""
     A = np.stack([pose.a1, pose.a2], axis=2)
-    return np.asarray(np.linalg.solve(A[:, None], pose.centres[:, 1:, :, None])[..., 0])
+    return np.asarray(np.linalg.solve(A[:, None], pose.centres[..., None])[..., 0])
 
 
 def reference_shares(cell: Cell) -> Array:
     """Shares (K, 2) of the sides of the reference cell in the centres of its rings."""
-    return np.concatenate([np.zeros((1, 2)), shares(start_pose(cell.weave, 1))[0]])
+    return np.asarray(shares(start_pose(cell.weave, 1))[0])
 
 
 def offsets(pose: Pose, cell: Cell) -> Array:
     """How far in mm the rings of poses are from their lattice points (n, K, 2), in weave axes."""
-    off = np.concatenate([np.zeros((len(pose.a1), 1, 2)), shares(pose)], axis=1) - reference_shares(cell)
+    off = shares(pose) - reference_shares(cell)
     return np.asarray(cell.r1 * (off[..., :1] * pose.a1[:, None] + off[..., 1:] * pose.a2[:, None]))
 
 

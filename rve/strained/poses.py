@@ -84,7 +84,7 @@ class LockedArrangements:
         square = (self.E[None] - E[:, None]) ** 2 @ WEIGHT
         weight = 1.0 / (square + 1e-16) ** 2
         weight /= weight.sum(axis=1, keepdims=True)
-        share = np.einsum("nm,mkx->nkx", weight, shares(self.pose))
+        share = np.einsum("nm,mkx->nkx", weight, shares(self.pose)[:, 1:])
         normal = np.einsum("nm,mkx->nkx", weight, self.pose.normals)
         normal /= np.linalg.norm(normal, axis=2, keepdims=True)
         return np.concatenate([E, share.reshape(len(E), -1), normal.reshape(len(E), -1)], axis=1)
