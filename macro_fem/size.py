@@ -12,6 +12,7 @@ import numpy as np
 from homogenize import LawInterval, MembraneLaw, fit
 from macro_fem.demand.options import OnDemand
 from macro_fem.job import solve
+from macro_fem.output.weakest import TOO_COARSE
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import Rectangle
@@ -40,19 +41,21 @@ RINGS_NOT_JUDGED = (
 @dataclass(frozen=True)
 class Row:
     """One value that was tried, and how the solver ended; `factor` is the least of all links, rings and hooks,
-    `safety_factor` that of the rings alone."""
+    `safety_factor` that of the rings alone, too large where the mesh is too coarse for it."""
 
     value: float
     factor: float | None
     safety_factor: float | None
     weakest: str | None
     status: str
+    utilisation_mesh_too_coarse: bool | None = None
 
 
 @dataclass(frozen=True)
 class Size:
     """The largest `value` of what is varied, of r2 the least, where the factor is at least the one asked for; `curve`:
-    all values that were tried, in order; `note`: why the rings are not judged, or the next value has no answer."""
+    all values that were tried, in order; `note`: why rings are not judged, or only on a mesh that is too coarse, or why
+    the next value has no answer."""
 
     vary: str
     value: float
@@ -121,6 +124,8 @@ def largest_that_holds(
     note = None
     if found.safety_factor is None:
         note = RINGS_NOT_JUDGED
+    elif found.utilisation_mesh_too_coarse:
+        note = TOO_COARSE
     elif beyond and beyond[0].factor is None:
         note = f"{vary} = {beyond[0].value:g} has no answer: {beyond[0].status}"
     curve = tuple(rows[value] for value in sorted(rows))
@@ -163,6 +168,8 @@ def _pitches(scene: Scene, low: float, high: float) -> list[float]:
 
 def _check(scene: Scene, who: Any, vary: str) -> None:
     """InputError for what is not there to be varied."""
+    if scene.motion is not None:
+        raise InputError(f"{scene.source}: [motion]: is for a curtain over time, which is not sized")
     if vary not in VARIED:
         raise InputError(f"--vary = {shown(vary)}: is not one of {', '.join(VARIED)}")
     _, what, has = VARIED[vary]
@@ -186,7 +193,8 @@ def _row(scene: Scene, who: Any, vary: str, value: float) -> Row:
     if told["status"] != "converged":
         return Row(value, None, None, None, str(told["message"]))
     worst = told.get("envelope", told)
-    return Row(value, worst["weakest_factor"], worst["safety_factor"], worst["weakest"], "converged")
+    factors = worst["weakest_factor"], worst["safety_factor"]
+    return Row(value, *factors, worst["weakest"], "converged", worst["utilisation_mesh_too_coarse"])
 
 
 def _changed(scene: Scene, vary: str, value: float) -> Scene:

@@ -126,18 +126,25 @@ def combination_lines(summary: Mapping[str, Any]) -> list[str]:
     lines = []
     for row in summary.get("combinations", ()):
         named = ", ".join(f"{value:g} {name}" for name, value in row["factors"].items() if value != 1.0)
-        holds = "" if row["weakest_factor"] is None else f", factor {digits(row['weakest_factor'])} ({row['weakest']})"
-        ended = f"{row['status']}, largest force {digits(row['largest_force_N'], 4)} N{holds}"
+        ended = f"{row['status']}, largest force {digits(row['largest_force_N'], 4)} N{_factor(row)}"
         lines.append(f"combination {row['name']} ({named or 'all loads as they are'}): {ended}")
     return [*lines, governing_line(summary)] if lines else []
+
+
+def _factor(row: Mapping[str, Any]) -> str:
+    """The factor of a combination, as far as it is known, and what gives first."""
+    if row["weakest_factor"] is None:
+        return ""
+    most = "of at most " if row["utilisation_mesh_too_coarse"] else ""
+    return f", factor {most}{digits(row['weakest_factor'])} ({row['weakest']})"
 
 
 def governing_line(summary: Mapping[str, Any]) -> str:
     """The combination that governs, and whether the curtain holds under it, as far as that is known.
 
-    >>> most = {"governing": "ultimate", "weakest_factor": 0.9, "weakest": "hook capacity"}
+    >>> most = {"governing": "ultimate", "weakest_factor": 1.9, "weakest": "mesh", "utilisation_mesh_too_coarse": True}
     >>> governing_line({"envelope": most, "combinations": []})
-    'governing combination: ultimate, does not hold, factor 0.9 (hook capacity)'
+    'governing combination: ultimate, holds, factor of at most 1.9 (mesh)'
     """
     most = summary["envelope"]
     factor, text = most["weakest_factor"], f"governing combination: {most['governing']}"
@@ -145,7 +152,7 @@ def governing_line(summary: Mapping[str, Any]) -> str:
         return f"{text}; no answer for {', '.join(failed)}"
     if factor is None:
         return text
-    return f"{text}, {'holds' if factor >= 1.0 else 'does not hold'}, factor {digits(factor)} ({most['weakest']})"
+    return f"{text}, {'holds' if factor >= 1.0 else 'does not hold'}{_factor(most)}"
 
 
 def verdict(summary: dict[str, Any]) -> tuple[str, bool]:

@@ -64,11 +64,11 @@ macro_fem run scene.toml --out new --dxf scene.toml -> scene.toml
 macro_fem run scene.toml --out new --law table.csv -> table.csv: is not JSON
 macro_fem run scene.toml --out new --law table.json -> table.json: format
 macro_fem run law.json --out new -> law.json: is not TOML
-macro_fem run half.toml --out new -> TOML
 macro_fem run moving.toml --out new --explain -> are for a curtain at rest
 macro_fem rings moving.toml --out new --start motion -> --start motion: is for rings at rest
 macro_fem compare combined.toml -> [combination]: is for a curtain by a law
 macro_fem size scene.toml --vary speed --from 1 --to 2 --factor 1 -> Error: scene.toml: --vary speed: the scene has no
+macro_fem size moving.toml --vary mass --from 1 --to 2 --factor 1 -> which is not sized
 macro_fem size scene.toml --vary mass --from 3 --to 2 --factor 1 -> the smaller one first
 macro_fem size scene.toml --vary mass --from 1 --to 2 --factor nan -> --factor = nan: must be positive
 macro_fem size scene.toml --vary r2 --from 0.4 --to 0.6 --factor 1 -> Error: --vary r2: needs the rings, by --rings
@@ -78,7 +78,6 @@ macro_fem sweep scene.toml --out new --report r.pdf -> names one file for all of
 macro_fem localize curtain --out new --window 0,0,nan,9 -> window
 macro_fem localize curtain --out new --window 5000,5000,6000,6000 -> not one ring
 macro_fem localize curtain --out new --max-rings 3 -> --max-rings
-macro_fem localize nowhere --out new -> nowhere: cannot be read: No such file
 rve table --out /proc/t.csv --alpha 0 --beta 45 -> --out = /proc/t.csv: cannot be written
 homogenize fit table.csv --out other.json -> other.json: is the sidecar file of a table
 """
@@ -90,7 +89,6 @@ def folder(tmp_path_factory):
     """Scenes, a table, laws and a solved curtain for the commands to read."""
     out = tmp_path_factory.mktemp("refused")
     (out / "scene.toml").write_text(HOOKS)
-    (out / "half.toml").write_text("[mesh")
     (out / "moving.toml").write_text(HOOKS + "motion = {duration = 1.0, start = 'reference'}")
     (out / "combined.toml").write_text(HOOKS + "combination = {name = 'a'}")
     shutil.copy(DEFAULT_LAW, out / "law.json")

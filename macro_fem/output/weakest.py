@@ -19,6 +19,9 @@ OF_FORCE = (
     "the force at this point over the width of one cell"
 )
 """What is said of a factor that follows from the force at a point."""
+TOO_COARSE = "the mesh is too coarse where rings yield first: their factor falls with refinement"
+JUDGED = ("safety_factor", "weakest", "weakest_factor", "utilisation_mesh_too_coarse")
+"""Keys of a summary that combinations of loads are judged by."""
 UTILISATIONS = tuple(f"utilisation_of_{what}_max" for what in ("averages", "point_forces", "hook_rings"))
 """Keys of what is asked of the mesh, by averages and by forces at points, and of the rings at hooks."""
 
@@ -82,7 +85,7 @@ def holds_line(summary: dict[str, Any]) -> str:
         parts.append(link.text if "capacity" in link.name else f"{link.text} {of_rings}")
     averages, points, _ = (summary[key] or 0.0 for key in UTILISATIONS)
     if is_coarse:
-        parts.append("the mesh is too coarse there: the factor of the rings falls with refinement")
+        parts.append(TOO_COARSE)
     elif found and points > averages:
         parts.append(OF_FORCE)
     return "; ".join(parts)
@@ -98,7 +101,7 @@ def envelope(found: Sequence[tuple[Combination, Mapping[str, Any]]]) -> dict[str
             "factors": {item.name: getattr(combination, item.name) for item in fields(combination)[1:]},
             "largest_force_N": max((one["largest_nodal_force_N"] for one in summary["support_forces"]), default=0.0),
         }
-        | {key: summary[key] for key in ("status", "message", "safety_factor", "weakest", "weakest_factor")}
+        | {key: summary[key] for key in ("status", "message", *JUDGED)}
         for combination, summary in found
     ]
     worst = max(rows, key=lambda row: row["largest_force_N"])
@@ -111,5 +114,5 @@ def envelope(found: Sequence[tuple[Combination, Mapping[str, Any]]]) -> dict[str
             own |= {"force_N": float(np.linalg.norm(row[4:7])), "combination": combination.name}
             place = row[0], *np.round(row[2:4], 6)
             points[place] = max(points.get(place, own), own, key=lambda one: one["force_N"])
-    told = {"governing": worst["name"]} | {key: worst[key] for key in ("safety_factor", "weakest", "weakest_factor")}
+    told = {"governing": worst["name"]} | {key: worst[key] for key in JUDGED}
     return {"combinations": rows, "envelope": told | {"support_forces": list(points.values())}}

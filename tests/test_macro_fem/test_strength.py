@@ -11,8 +11,10 @@ from macro_fem.curtain import solve_scene
 from macro_fem.job import solve
 from macro_fem.output.files import curtain_mesh, summarize
 from macro_fem.output.strength import critical_load, summary, utilisation
-from macro_fem.output.weakest import holds_line
+from macro_fem.output.weakest import TOO_COARSE, holds_line
 from macro_fem.scene.scene import read_scene
+from macro_fem.size import largest_that_holds
+from macro_fem.told import combination_lines
 from rve import Cell, named_material, pulled_ring, solve_table, with_rings
 from rve.common.errors import InputError
 from rve.common.meshes import read_mesh_file, write_mesh_file
@@ -121,14 +123,14 @@ def test_a_force_on_one_column_of_rings_is_that_force_over_the_width_of_a_disk()
 
 
 def test_a_mesh_too_coarse_at_an_end_of_a_held_edge_is_told():
-    """No single force tells there; the factor is then an upper bound and called so."""
-    tables = sheet(300.0, 300.0, 8, {"kind": "edge", "edge": "left"})
-    told = summarize(solve_scene(read_scene(tables), with_yield(2350.0)))
-    assert told["utilisation_of_point_forces_max"] == 0.0
-    assert told["utilisation_mesh_too_coarse"] is True
-    line = holds_line(told)
-    assert line.startswith("holds with a factor of at most ")
-    assert "the factor of the rings falls with refinement" in line
+    """No single force tells there; the factor is then an upper bound and called so, of combinations and sizes too."""
+    tables = sheet(300.0, 300.0, 4, {"kind": "top"}, load={"bar": {"mass": 0.5}}, weave_angle=30.0)
+    scene = read_scene(tables | {"combination": {"name": "more", "bar": 1.5}})
+    told = solve(scene).summary
+    assert (told["utilisation_of_point_forces_max"], told["utilisation_mesh_too_coarse"]) == (0.0, True)
+    assert holds_line(told).endswith(TOO_COARSE)
+    assert all("factor of at most " in line for line in (holds_line(told), *combination_lines(told)))
+    assert largest_that_holds(replace(scene, combination=()), None, "mass", (0.4, 0.5), 9.0).note == TOO_COARSE
 
 
 def square(scale=1.0, law=None, **curtain):
