@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from rve.common import Array
 from rve.common.drawing.plane import GREEN, Scale, new_axes, rounded_up
-from rve.common.drawing.space import BODY, BODY_OPACITY, THREE_QUARTERS, add, ball, lines, look, new_plotter, surface
+from rve.common.drawing.space import BODY, BODY_OPACITY, THREE_QUARTERS, add, balls, lines, look, new_plotter, surface
 from rve.common.meshes import write_mesh_file
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
@@ -151,7 +151,7 @@ class DrawnRings:
                 mesh[name] = np.repeat(numbers, points + 1)
             add(plotter, "rings", mesh, colours, line_width=2)
         for name, centre, radius in self.balls:
-            add(plotter, name, ball(radius, centre), BODY, opacity=BODY_OPACITY)
+            add(plotter, name, balls(centre, radius, 64), BODY, opacity=BODY_OPACITY)
         box = None
         if series:
             places = np.concatenate([one.centre for one in series])

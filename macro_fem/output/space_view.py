@@ -157,7 +157,7 @@ def obstacle_mesh(placed: PlacedObstacle, frame: PictureFrame, ground: float) ->
     room, less, middle, shift = frame.room, SHRUNK * frame.size, frame.room.mean(axis=0), placed.shift
     match item := placed.obstacle:
         case Sphere():
-            return space.ball(max(item.radius - less, 0.9 * item.radius), item.centre + shift)
+            return space.balls(item.centre + shift, max(item.radius - less, 0.9 * item.radius), 64)
         case Cylinder():
             axis, point = unit(item.axis), np.array(in_3d(item.point)) + shift
             height = 1.08 * float((room[1] - room[0]) @ np.abs(axis))
@@ -170,7 +170,7 @@ def obstacle_mesh(placed: PlacedObstacle, frame: PictureFrame, ground: float) ->
         case Box():  # a ball whose eight parts are moved to the corners, cut off far from the curtain
             low, high = item.corner + shift + less, item.corner + shift + np.array(item.size) - less
             radius = min(item.rounding or 0.0, 0.499 * float((high - low).min()))
-            mesh = space.ball(1.0, np.zeros(3))
+            mesh = space.balls(np.zeros(3), 1.0, 64)
             way = np.sign(np.round(mesh.points, 6)) * (0.5 * (high - low) - radius) + radius * mesh.points
             least, most = room[0] - REACH * frame.size, room[1] + REACH * frame.size
             least[1] = max(least[1], ground)

@@ -200,9 +200,7 @@ def solve(
     return replace(end, status=status.astype("<U16"), history=steps)
 
 
-def solve_table_stewart_trinkle(
-    cell: Cell, loads: tuple[ArrayLike, ArrayLike], options: StewartTrinkleOptions | None = None
-) -> StrainTable:
+def solve_table_stewart_trinkle(cell: Cell, loads: tuple[ArrayLike, ArrayLike]) -> StrainTable:
     """The strain-load table of a cell under load directions (alpha, beta) in degrees, each (n,), by the paper's scheme
     at its contact stiffness.
 
@@ -210,7 +208,7 @@ def solve_table_stewart_trinkle(
     solver, `iterations` are accepted steps; radius and density come from the cell. InputError for angles that are not
     finite, NotConverged if there is no reference cell.
     """
-    options = replace(options or StewartTrinkleOptions(), r1_mm=cell.r1, density=cell.density)
+    options = StewartTrinkleOptions(r1_mm=cell.r1, density=cell.density)
     began = time.perf_counter()
     alpha, beta = checked_angles(*loads)
     sides = reference_sides(cell, DirectOptions())

@@ -101,19 +101,12 @@ def lines(points: Array) -> PolyData:
     return pyvista.PolyData(points.reshape(-1, 3), lines=cells.ravel())
 
 
-def ball(radius: float, centre: Array) -> PolyData:
-    """A smooth ball."""
-    import pyvista
-
-    return pyvista.Sphere(radius=radius, center=centre, theta_resolution=64, phi_resolution=64)
-
-
-def balls(points: Array, radius: float) -> PolyData:
-    """Balls around points (n, 3)."""
+def balls(points: Array, radius: float, resolution: int = 16) -> PolyData:
+    """Balls around points (n, 3); large ones are smooth with a resolution of 64."""
     import pyvista
 
     middles = pyvista.PolyData(np.array(points, float).reshape(-1, 3))
-    ball = pyvista.Sphere(radius=radius, theta_resolution=16, phi_resolution=16)
+    ball = pyvista.Sphere(radius=radius, theta_resolution=resolution, phi_resolution=resolution)
     return middles.glyph(geom=ball, scale=False, orient=False) if len(points) else middles
 
 
