@@ -157,7 +157,8 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
     def as_solution(self, frame: MotionFrame) -> CurtainSolution:
         """The curtain at a frame, with balls as obstacles of the scene and without supports that have let go.
 
-        Its load is what line loads and supports balance: outer forces, pushes, and those of inertia.
+        Its load is what line loads and supports balance: outer forces, pushes, and those of inertia. Winds with a speed
+        press its cells by the velocity relative to them.
         """
         problem, n = frame.problem, frame.problem.disc.n_nodes
         gone = let_go(self.scene, frame.moment.t)
@@ -166,24 +167,18 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         for ball, place in zip(self.balls, frame.moment.x[n:], strict=True):
             kept.append(Sphere(tuple(place), ball.radius, name=ball.name))
         scene = replace(problem.scene, items=tuple(kept))
-        force = internal_force(problem.disc, frame.P) - frame.supports
-        told = replace(problem, scene=scene, dead=force, wind=None, walls=Walls.none(problem.fem.d), winds=())
+        dead, wind = internal_force(problem.disc, frame.P) - frame.supports, None
+        if problem.winds:
+            blown, blocks = winds_at(problem, frame.moment)
+            blown -= times(blocks, frame.moment.v[:n])
+            wind = (blown / load_vector(problem.disc, np.array([1.0])))[problem.disc.cell_dofs].mean(axis=1)
+            dead -= load_vector(problem.disc, wind)
+        told = replace(problem, scene=scene, dead=dead, wind=wind, walls=Walls.none(problem.fem.d))
         inner, asked = InnerForces(frame.P, frame.S, 0.0, np.zeros(0)), Evidence(1.0, 1.0, 1.0)
         return CurtainSolution(told, "converged", asked, frame.moment.x[:n], inner, 0.0, 0.0, frame.iterations, 0.0)
 
-    def blown(self, frame: MotionFrame) -> CurtainSolution:
-        """The curtain at a frame, and winds with a speed as they press its cells, for pictures."""
-        found, problem = self.as_solution(frame), frame.problem
-        if not problem.winds:
-            return found
-        force, blocks = winds_at(problem, frame.moment)
-        force -= times(blocks, frame.moment.v[: len(force)])
-        wind = (force / load_vector(problem.disc, np.array([1.0])))[problem.disc.cell_dofs].mean(axis=1)
-        dead = found.problem.force - load_vector(problem.disc, wind)
-        return replace(found, problem=replace(found.problem, dead=dead, winds=problem.winds, wind=wind))
-
     def _titled(self, frames: Sequence[MotionFrame]) -> Titled:
-        return [(f"{one.moment.t:.3f} s", self.blown(one)) for one in frames]
+        return [(f"{one.moment.t:.3f} s", self.as_solution(one)) for one in frames]
 
     def write_vtu(self, path: Path, frame: MotionFrame) -> None:
         write_mesh_file(path, curtain_mesh(self.as_solution(frame)))
