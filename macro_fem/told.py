@@ -94,15 +94,15 @@ def hooks_lines(summary: dict[str, Any]) -> list[str]:
 
     >>> one = {"support": "hooks", "nodes_held": 24, "points": [0] * 24, "pitch_mm": 130.4348, "pitch_asked_mm": 129.0}
     >>> hooks_lines({"support_forces": [one]})
-    ['hooks: 24, 130.435 mm apart; pitch = 129 does not divide the edge, count = 24 asks for these']
+    ['hooks: 24, 130.435 mm apart; pitch = 129 does not divide the edge']
     """
     lines = []
     for one in summary["support_forces"]:
         if "pitch_mm" in one:
-            pitch, asked, count = one["pitch_mm"], one["pitch_asked_mm"], one["nodes_held"]
+            pitch, asked = one["pitch_mm"], one["pitch_asked_mm"]
             differs = asked is not None and abs(pitch - asked) > 1e-9 * asked
-            note = f"; pitch = {asked:g} does not divide the edge, count = {count} asks for these" if differs else ""
-            lines.append(f"{one['support']}: {count}, {pitch:g} mm apart{note}")
+            note = f"; pitch = {asked:g} does not divide the edge" if differs else ""
+            lines.append(f"{one['support']}: {one['nodes_held']}, {pitch:g} mm apart{note}")
         if both := one["nodes_held"] - len(one["points"]):
             lines.append(f"{one['support']}: the forces of {both} of its points count for a support before it")
     return lines
