@@ -60,17 +60,14 @@ def widest(x: Array, part: Array, known: Array, most: int, is_mirrored: bool) ->
     square = np.unique(np.floor(x / BIN).astype(np.int64), axis=0, return_inverse=True)[1].ravel()
     weight = np.asarray(np.bincount(square, part), float)
     centre = np.column_stack([np.bincount(square, part * one) / weight for one in x.T])
-    chosen, free = list[Array](), list[float]()
+    chosen = list[tuple[Array, float]]()
     for i in np.argsort(-weight, kind="stable"):
         point = _placed(centre[i], known)
-        distance = _least_distance(point, known)
-        is_near = any(
-            np.hypot(*(one - point)) < max(radius, APART * distance) for one, radius in zip(chosen, free, strict=True)
-        )
-        if distance >= SAME and not is_near and len(chosen) < most:
-            chosen.append(point)
-            free.append(APART * distance)
-    return np.array(chosen).reshape(-1, 2)
+        free = APART * _least_distance(point, known)
+        is_near = any(np.hypot(*(one - point)) < max(radius, free) for one, radius in chosen)
+        if free >= APART * SAME and not is_near and len(chosen) < most:
+            chosen.append((point, free))
+    return np.array([point for point, _ in chosen]).reshape(-1, 2)
 
 
 def between(known: Array, most: int, is_mirrored: bool) -> Array:

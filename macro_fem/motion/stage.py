@@ -3,7 +3,7 @@ obstacles at their places at the end of a step, of bodies with mass, and of smal
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -118,6 +118,7 @@ def relative_wind(wind: Wind, force: Array, v: Array) -> tuple[Array, Array]:
     return (share * U / W)[:, None] * force, (share / W)[:, None, None] * force[:, :, None] * w
 
 
+@dataclass(eq=False)
 class Contacts:
     """Tangent half-spaces of the obstacles of a problem, and of balls whose centres are the last nodes.
 
@@ -125,18 +126,14 @@ class Contacts:
     a ball during the step, mm.
     """
 
-    def __init__(
-        self,
-        problem: CurtainProblem,
-        balls: tuple[Ball, ...],
-        before: CurtainProblem | None = None,
-        way: float = np.inf,
-    ) -> None:
-        self.problem, self.balls, self.way = problem, balls, way
+    problem: CurtainProblem
+    balls: tuple[Ball, ...]
+    before: CurtainProblem | None = None
+    way: float = np.inf
+
+    def __post_init__(self) -> None:
+        self.obstacles, self.n = placed_obstacles(self.problem), self.problem.disc.n_nodes
         self.near: dict[int, np.ndarray] = {}
-        self.obstacles = placed_obstacles(problem)
-        self.before = placed_obstacles(before or problem)
-        self.n = problem.disc.n_nodes
 
     def tangents(self, x: Array) -> Walls:
         """Half-spaces that touch obstacles and balls where they are closest to points of nodes at x (n, d)."""
@@ -193,14 +190,14 @@ class Contacts:
     def work(self, walls: Walls, force: Array, x: Array) -> tuple[float, float]:
         """Pushes `force` (m,) of tangent half-spaces times the moves of obstacles along them, and times the gaps at the
         start x (n, d), N mm."""
-        moved, touched = 0.0, 0.0
+        moved, touched, before = 0.0, 0.0, placed_obstacles(self.before or self.problem)
         for number in np.unique(walls.owner):
             which = np.flatnonzero(walls.owner == number)
             own, push = walls.take(which), force[which]
             if number < 0:
                 touched += float(push @ (np.linalg.norm(own.at.places(x), axis=1) - own.offset))
                 continue
-            old, new = self.before[number], self.obstacles[number]
+            old, new = before[number], self.obstacles[number]
             offset = new.offset(own.normal)  # less than a ball's by its radius
             moved += float(push @ (offset - old.offset(own.normal)))
             touched += float(push @ (old.gap(own.at.places(x)) - (own.offset - offset)))
