@@ -194,8 +194,8 @@ def local_minima(d: Array, n_a: Array, n_b: Array, *, reach: float = np.inf, sam
     """Every local minimum of the distance of two circles, for all pairs at once.
 
     d, n_a, n_b (n, 3): centre of B seen from A, unit normals. Minima farther than `reach` are left out. Returns
-    `Minima` sorted by pair. Minima less than about 0.02 rad apart count as one: their distances then differ by less
-    than 1e-9.
+    `Minima` sorted by pair and distance. Minima less than about 0.02 rad apart count as one: their distances then
+    differ by less than 1e-9.
 
     >>> import numpy as np
     >>> two = local_minima(np.array([[1.8, 0, 0]]), np.array([[0, 0, 1.0]]), np.array([[0, 1.0, 0]]))
@@ -225,7 +225,9 @@ def local_minima(d: Array, n_a: Array, n_b: Array, *, reach: float = np.inf, sam
     soft = single[found.pair] & (found.curvature < _SOFT)
     hidden, place = _shoulders(rise, fall, can_reach & single[:, None], step)
     around, angles = np.concatenate([found.pair[soft], hidden]), np.concatenate([angle[soft], place])
-    return _with_twins(found, around, angles, reach, (d, n_a, n_b)) if len(around) else found
+    if len(around):
+        return _with_twins(found, around, angles, reach, (d, n_a, n_b))
+    return found.take(np.lexsort((found.distance, found.pair)))  # in the order that they have with twins
 
 
 def followed_minima(near: Minima, d: Array, n_a: Array, n_b: Array, *, width: float = 0.2) -> Minima:
