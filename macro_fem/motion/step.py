@@ -118,7 +118,7 @@ class StepEnd:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class TimeStep:
     """A step of h s from `now` of nodes of masses (n,) in N s2/mm, under `forces` at its end, by its differences: beta
     h in s, X (n, d) in mm and V (n, d) in mm/s, see above."""
 
@@ -195,7 +195,7 @@ class Step:
         return {"moment": Moment(self.now.t + self.h, end.x, v), "account": account, "rebound": rebound}
 
 
-def make_step(now: Moment, before: Moment | None, h: float, mass: Array, forces: Forces) -> Step:
+def make_step(now: Moment, before: Moment | None, h: float, mass: Array, forces: Forces) -> TimeStep:
     """The step of h s from `now`: Euler's without a moment before, else BDF2's.
 
     >>> start, none = Moment(0.0, np.zeros((1, 2)), np.ones((1, 2))), np.zeros((1, 2))
@@ -203,11 +203,11 @@ def make_step(now: Moment, before: Moment | None, h: float, mass: Array, forces:
     [[0.5, 0.5]]
     """
     if before is None:
-        return Step(now, h, mass, forces, h, now.x, now.v)
+        return TimeStep(now, h, mass, forces, h, now.x, now.v)
     w = h / (now.t - before.t)
     beta = (1.0 + w) / (1.0 + 2.0 * w)
     own, old = beta * (1.0 + w), beta * w * w / (1.0 + w)
-    return Step(now, h, mass, forces, beta * h, own * now.x - old * before.x, own * now.v - old * before.v)
+    return TimeStep(now, h, mass, forces, beta * h, own * now.x - old * before.x, own * now.v - old * before.v)
 
 
 Tangents = Callable[[Array], Walls]
@@ -219,7 +219,7 @@ GAP, FIRST_GAP = 1e-10, 1.0
 
 
 def solve_step(
-    problem: CurtainProblem, fem: SupportedFem, step: Step, cones: Cones | None, tangents: Tangents
+    problem: CurtainProblem, fem: SupportedFem, step: TimeStep, cones: Cones | None, tangents: Tangents
 ) -> tuple[PathResult, Walls]:
     """The solver's record of a step of the curtain of a problem, with the nodes of `fem`, by the half-spaces `cones` of
     the step before; and half-spaces of obstacles."""
@@ -244,7 +244,7 @@ def solve_step(
     return result, walls
 
 
-def end_of(fem: SupportedFem, step: Step, result: PathResult, walls: Walls) -> StepEnd:
+def end_of(fem: SupportedFem, step: TimeStep, result: PathResult, walls: Walls) -> StepEnd:
     """The end of the step of a rigid curtain, without what pushes have done."""
     x = fem.positions(result.z)
     pushes, inner = walls.nodal(result.wall_forces, len(x)), internal_force(fem.disc, result.P)
