@@ -55,6 +55,8 @@ def pulled_ring(r1: float, r2: float, material: Material = STEEL, joint: str = "
     True
     """
     stress = material.yield_N_per_mm2
+    if not 0.0 < r2 < r1 < np.inf:
+        raise InputError(f"r1 = {r1}, r2 = {r2}: a ring has 0 < r2 < r1, in mm")
     if stress is None:
         raise InputError(f"{material.name} has no yield stress: give one in N/mm2")
     ring = Ring(r1, r2, material.young_N_per_mm2, material.poisson)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from rve.common.errors import InputError
 from rve.ring.kernels import flexibility, internal_forces, section_matrix, self_stress
 from rve.ring.section import Ring, Section, out_of_plane_inertia, shear_factor
 
@@ -171,12 +170,3 @@ def test_constants_of_the_curved_section_are_integrals_over_it():
     assert 1.0 / section.bending == pytest.approx(200e3 * area * e * 5.0, rel=1e-10)
     assert out_of_plane_inertia(5.0, 1.0) == pytest.approx(np.sum(dA * z**2 * 5.0 / (5.0 + x)), rel=1e-10)
     assert 1.0 / section.coupling == pytest.approx(200e3 * area * 5.0, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("values", "name"),
-    [((5.0, 5.0, 1.0, 0.3), "r2"), ((5.0, 0.5, 0.0, 0.3), "young"), ((5.0, 0.5, 1.0, 0.6), "poisson")],
-)
-def test_impossible_rings_are_refused(values, name):
-    with pytest.raises(InputError, match=name):
-        Ring(*values)

@@ -130,3 +130,6 @@ def test_a_ring_between_two_hooks_has_its_closed_forms():
     for bad, message in ((("glued", YIELD), "joint = 'glued'"), (("welded", None), "no yield stress")):
         with pytest.raises(InputError, match=message):
             pulled_ring(5.0, 0.5, Material(yield_N_per_mm2=bad[1], ultimate_N_per_mm2=None), bad[0])
+    for r1, r2 in ((5.0, 5.0), (5.0, 0.0), (np.inf, 1.0), (5.0, np.nan)):
+        with pytest.raises(InputError, match="0 < r2 < r1"):
+            pulled_ring(r1, r2)
