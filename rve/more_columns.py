@@ -6,12 +6,15 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from rve.common import InputError, Typed
+from rve.common import Array, InputError, Typed
 from rve.common.rings import Joint
-from rve.equilibrium.elastic_rings import ring_states
-from rve.equilibrium.interior_point import DirectOptions
+from rve.common.tensor import trace
+from rve.equilibrium.elastic_rings import RingStates, ring_states
+from rve.equilibrium.interior_point import DirectOptions, LockedStates
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell, weave_axes, weave_sides
+from rve.geometry.kinematics import second_pk
+from rve.geometry.pose import deformation
 from rve.solve import locked_states, reference_sides
 from rve.table import StrainTable
 
@@ -35,9 +38,9 @@ def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOption
 
     compliance: dE/dS in mm/N for a line load of 1 N/mm, to first order: the bend of the locking surface and what the
     rings give; at s N/mm the bend is to be divided by s; where the strain is not unique, with its free part held.
-    strength: see `StrainTable`. Rows that have not converged have nan in both, and so have those of a table that was
-    read from a file whose state is not that from the slack pose. InputError for a cell other than the table's. Docs:
-    theory.md, 7.
+    strength: see `StrainTable`; where several states coexist, that of the one that yields, or collapses, first. Rows
+    that have not converged have nan in both, and so have those of a table that was read from a file whose state is not
+    that from the slack pose. InputError for a cell other than the table's. Docs: theory.md, 7.
 
     >>> from rve.solve import solve_table
     >>> found = with_rings(solve_table(Cell(), ([0.0], [90.0])), Cell())
@@ -54,10 +57,17 @@ def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOption
         is_known = is_known if table.branch is None else is_known & (table.branch == "slack")
     found = replace(states.found, status=np.where(is_known, states.found.status, "stalled"))
     sides = (known["b_x_mm"], known["b_y_mm"]) if "b_x_mm" in known else reference_sides(cell, DirectOptions())
-    equations = Equations.of(states.cell.weave, cell.wire)
-    rings = ring_states(equations, found, states.s, weave_sides(states.cell, sides), material.poisson, joint.angles_deg)
+
+    def solved(some: LockedStates) -> tuple[RingStates, Array]:
+        """The rings of states, and their strength (n, 2)."""
+        own = weave_sides(some.cell, sides)
+        equations, S = Equations.of(some.cell.weave, cell.wire), second_pk(deformation(some.pose, own), some.s)
+        rings = ring_states(equations, some.found, some.s, own, material.poisson, joint.angles_deg)
+        return rings, np.stack([rings.first_yield, rings.collapse], axis=1) / (cell.r1 * trace(S))[:, None]
+
+    rings, strength = solved(replace(states, found=found))
+    for at, others in states.beside:
+        np.maximum.at(strength, at, solved(others)[1])
     D = (rings.locking + rings.elastic / (material.young_N_per_mm2 * cell.r1))[:, weave_axes(cell), weave_axes(cell)]
-    asked = np.stack([rings.first_yield, rings.collapse], axis=1) / cell.r1
-    strength = asked / (table.S[:, 0] + table.S[:, 2])[:, None]
     provenance = known | {"compliance": "rings", "joint": joint.name, "material": asdict(material)}
     return replace(table, compliance=D, strength=strength, provenance=provenance)

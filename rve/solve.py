@@ -14,11 +14,11 @@ from rve.common.files import TABLE_FORMAT
 from rve.common.rings import areal_mass
 from rve.common.tensor import double_dot
 from rve.directions import grid
-from rve.equilibrium.branches import RowStates, largest_rows, make_rows
+from rve.equilibrium.branches import RowStates, largest_rows, make_rows, states_beside
 from rve.equilibrium.dead_load import DeadLoad, LoadedCell, solve_dead
-from rve.equilibrium.interior_point import DirectOptions, LockedStates, solve_equilibrium, unit_loads
+from rve.equilibrium.interior_point import DirectOptions, Equilibrium, LockedStates, solve_equilibrium, unit_loads
 from rve.equilibrium.largest_work import in_cell
-from rve.equilibrium.limits import with_limits
+from rve.equilibrium.limits import balanced, with_limits
 from rve.equilibrium.mixtures import MOVED
 from rve.equilibrium.symmetry import solve_equilibrium_symmetric
 from rve.equilibrium.system import Equations, mirror_modes
@@ -175,16 +175,27 @@ def largest_states(
 ) -> tuple[LockedStates, RowStates, Flags]:
     """Locked states of largest work in their cell under the Cauchy loads s (n, 3); the rows; the rows (n,) that a known
     state still contradicts. A coexisting state has the unit Cauchy load that it carries in its own pose."""
-    rows, found, changed, left = largest_rows(rows, states.found, s, mesh)
-    unique, loads, lam = states.unique.copy(), states.s.copy(), found.lam.copy()
+    rows, found, changed, left, known = largest_rows(rows, states.found, s, mesh)
+    unique, loads = states.unique.copy(), states.s.copy()
     unique[changed], loads[changed] = rows.unique[changed], s[changed]
     mixed = np.flatnonzero(changed & (rows.branch == "coexisting"))
-    F = deformation(found.pose.take(mixed), mesh.sides)
+    own, loads[mixed] = _under_own_loads(found.take(mixed), rows.S[mixed], mesh)
+    beside = [(at[~changed[at]], one.take(~changed[at])) for at, one in states.beside]
+    at, others = states_beside(rows, known)
+    if len(at):
+        pushed = balanced(others.pose, unit_loads(others.S), mesh.dead, mesh.options.reach)
+        pushed, carried = _under_own_loads(pushed, others.S, mesh)
+        beside.append((at, LockedStates(pushed, carried, np.zeros(len(at), dtype=bool), states.cell, states.reach)))
+    return replace(states, found=found.put(mixed, own), unique=unique, s=loads, beside=tuple(beside)), rows, left
+
+
+def _under_own_loads(found: Equilibrium, S: Array, mesh: LoadedCell) -> tuple[Equilibrium, Array]:
+    """Equilibria under dead loads S (n, 3) as those under the unit Cauchy loads (n, 3) that they carry."""
+    F = deformation(found.pose, mesh.sides)
     # second_pk with the inverse of F leads back: s = J^-1 F S F^T.
-    own = second_pk(np.asarray(np.linalg.inv(F)), unit_loads(rows.S[mixed]))
+    own = second_pk(np.asarray(np.linalg.inv(F)), unit_loads(S))
     size = np.sqrt(double_dot(own, own))[:, None]
-    loads[mixed], lam[mixed] = own / size, lam[mixed] / size[..., None]
-    return replace(states, found=replace(found, lam=lam), unique=unique, s=loads), rows, left
+    return replace(found, lam=found.lam / size[..., None]), own / size
 
 
 def branch_record(table: StrainTable, first: RowStates, rows: RowStates, left: Flags, wall: float) -> dict[str, Any]:

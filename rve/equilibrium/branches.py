@@ -28,6 +28,8 @@ STUCK, DETOURS = 2, 12
 """Rounds after which mixtures are also looked for by so many steps in a row that do not lower their gain."""
 UNDECIDED = "below"
 """Branch of a row between two rounds whose pose is that of its last rival."""
+ROUND_OFF = 1e-12
+"""Differences of loads S below which they are one."""
 BALANCE_STEPS = 8
 """Steps of Newton's method for the load S* of coexisting states."""
 WORK_TOLERANCE, LOAD_TOLERANCE = 1e-10, 1e-6
@@ -69,15 +71,15 @@ def make_rows(found: Equilibrium, s: Array, mesh: LoadedCell) -> RowStates:
 
 def largest_rows(
     rows: RowStates, found: Equilibrium, s: Array, mesh: LoadedCell
-) -> tuple[RowStates, Equilibrium, Flags, Flags]:
+) -> tuple[RowStates, Equilibrium, Flags, Flags, KnownStates]:
     """The rows and equilibria with their states of largest work; which have changed, and which a known state still
-    contradicts, (n,) each.
+    contradicts, (n,) each; all known states.
 
     Equilibria of rows whose branch is "coexisting" are those under the dead load S, of the others under s.
     """
     changed, left = np.zeros((2, len(s)), dtype=bool)
     if not np.isfinite(rows.E).any():
-        return rows, found, changed, left
+        return rows, found, changed, left, rows.states(mesh)
     is_larger = mesh.cauchy.weave.is_larger
     known = _further_states(rows, mesh) if is_larger else _dead_states(rows, mesh)
     rows = _fill(rows, found.status, s, known, mesh)
@@ -99,7 +101,15 @@ def largest_rows(
         found = found.put(done, new)
         changed[done] = True
     left[_contradicted(rows, known, mesh)[0]] = True
-    return rows, found, changed, left
+    return rows, found, changed, left, known
+
+
+def states_beside(rows: RowStates, known: KnownStates) -> tuple[Index, KnownStates]:
+    """Coexisting rows (k,), and as many of the known states: the others that do the same work under their S."""
+    mixed = np.flatnonzero(rows.branch == "coexisting")
+    is_under = np.abs(rows.S[mixed, None] - known.S).max(axis=2) < ROUND_OFF
+    row, state = np.nonzero(is_under & (np.abs(rows.E[mixed, None] - known.E).max(axis=2) > MOVED))
+    return mixed[row], known.take(state)
 
 
 def _fill(rows: RowStates, status: NDArray[np.str_], s: Array, known: KnownStates, mesh: LoadedCell) -> RowStates:

@@ -1,5 +1,7 @@
 """Tables where several locked states coexist: the largest, two in balance, and the reference cell of thin wire."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import deformation_gradient, second_pk
 from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE
+from rve.more_columns import RingOptions, with_rings
 from rve.solve import reference_sides, solve_table
 from rve.support_function import support
 from rve.table import read_table, write_table
@@ -55,15 +58,18 @@ def test_two_states_in_balance(tmp_path):
     rival = other[np.abs(other - E).max(axis=1).argmax()]
     assert np.abs(rival - E).max() > 0.01
     share = np.linspace(0.0, 1.0, 2001)[:, None]
-    s = np.tile([0.5, 0.5, 0.5], (2001, 1))
-    mixed = second_pk(deformation_gradient((1.0 - share) * E + share * rival), s)
+    mixed = second_pk(deformation_gradient((1.0 - share) * E + share * rival), np.tile([0.5, 0.5, 0.5], (2001, 1)))
     mixed /= mixed[:, :1] + mixed[:, 2:]
     assert np.abs(mixed - S).max(axis=1).min() < 5e-3
     write_table(best, tmp_path / "t.csv")
     again = read_table(tmp_path / "t.csv")
-    assert again.branch.tolist() == ["coexisting"]
     assert again.provenance["branches"]["several_states"][0]["branch"] == "coexisting"
-    assert best.to_pandas().branch.tolist() == ["coexisting"]
+    assert again.branch.tolist() == best.to_pandas().branch.tolist() == ["coexisting"]
+    # Both states bear S, side by side: the mesh is as strong as the weaker one.
+    own, other = (replace(best, states=one) for one in (replace(states, beside=()), states.beside[0][1]))
+    asked, one, two = (with_rings(table, cell, RingOptions("butted:40")).strength for table in (best, own, other))
+    assert asked[0] == pytest.approx(two[0])
+    assert (two > 1.02 * one).all()
 
 
 def test_the_best_mixture_of_strains_carries_its_load():
