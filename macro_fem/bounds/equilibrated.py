@@ -115,7 +115,8 @@ def _reference_gradients(corner_gradients: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class DualProblem:
-    """The hybrid problem: supported element, nodal forces, what spread loads may cost (N mm), and walls.
+    """The hybrid problem: supported element, nodal forces, what spread loads may cost at every edge (n_facets,), N mm,
+    and walls.
 
     Edges `facet` (k,) bear the reactions of single held points, which are at their ends `near` (k,) and held at
     `centre` (k, d), nan in components that are not.
@@ -124,7 +125,7 @@ class DualProblem:
     dual: DualMesh
     fem: SupportedFem
     force: Array
-    point_load_cost: float
+    load_cost: Array
     facet: np.ndarray
     near: np.ndarray
     centre: Array
@@ -168,8 +169,9 @@ def dual_problem(solution: CurtainSolution, near_slack: Array) -> DualProblem:
     return DualProblem(dual, fem, force, cost, facet, near, centre, _walls(problem.walls, dual))
 
 
-def dead_and_live(problem: CurtainProblem, dual: DualMesh) -> tuple[Array, float]:
-    """Nodal forces (n_nodes, d) and the most that spreading point loads over edges may change the potential, N mm."""
+def dead_and_live(problem: CurtainProblem, dual: DualMesh) -> tuple[Array, Array]:
+    """Nodal forces (n_nodes, d), and the most that point loads spread over edges (n_facets,) may change the potential
+    there, N mm."""
     scene, law, factor, disc, mesh = problem.scene, problem.law, problem.factor, dual.disc, dual.mesh
     force = load_vector(disc, weight_per_area(scene, law.cell))
     for bar in scene.of(Bar):
@@ -182,14 +184,14 @@ def dead_and_live(problem: CurtainProblem, dual: DualMesh) -> tuple[Array, float
         force += load_vector(disc, np.tile(problem.disc.cell_mean(problem.wind), (3, 1)))
     for edge in scene.of(EdgeLoad):
         force += _traction_forces(dual, mesh.edge(edge.edge, "[load.edge] edge"), factor * scene.vector(edge.force))
-    cost = 0.0
+    cost = np.zeros(len(dual.edges))
     for point in scene.of(PointLoad):  # even over the edges at the nearest corner; costs |f| times the mean distance
         load, corners = factor * scene.vector(point.force), mesh.mesh.p.T
         facets = np.nonzero(dual.facets == np.linalg.norm(corners - point.at, axis=1).argmin())[1]
         lengths = dual.edge_lengths[facets]
-        moved = (largest_stretch(law, dual.edges[facets]) * lengths**2).sum() / (2.0 * lengths.sum())
+        moved = largest_stretch(law, dual.edges[facets]) * lengths**2 / (2.0 * lengths.sum())
         force += _traction_forces(dual, facets, load / lengths.sum())
-        cost += float(np.linalg.norm(load) * moved)
+        cost[facets] += np.linalg.norm(load) * moved
     for patch in scene.of(PatchLoad):  # as in P1: even within each triangle, by the area in the disk
         shares = disk_areas(mesh.mesh.p.T[mesh.mesh.t.T], np.array(patch.at), patch.radius)
         even = shares[:, None] / shares.sum() * (factor * scene.vector(patch.force))

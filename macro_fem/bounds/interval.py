@@ -113,7 +113,7 @@ def bound(solution: CurtainSolution, outer: MembraneLaw | None = None) -> Curtai
     held = dual.fem.positions(np.zeros(dual.fem.n))
     value = result.dual - float((dual.force * held).sum())
     tether_cost, moment = _tether_cost(dual, problem.law, result, held)
-    lower = value - tether_cost - dual.point_load_cost + float((problem.force * problem.fem.reference).sum())
+    lower = value - tether_cost - float(dual.load_cost.sum()) + float((problem.force * problem.fem.reference).sum())
     work = result.wall_forces * dual.walls.gap(at_dual_nodes(solution.x, dual.dual.mesh))  # pushes times distances
     error = error_map(gradients, dual, result) + work.reshape(-1, dual.dual.disc.n_cells).sum(axis=0)
     points = upper - lower - float(error.sum())
@@ -159,13 +159,11 @@ def linear_part(solution: CurtainSolution, outer: MembraneLaw | None) -> Curtain
 
 def _near_points(dual: DualProblem, moment: Array, points: float) -> Array:
     """What points cost, laid on the triangles (n_cells,) beside their edges in proportion to the moments there."""
-    share = np.zeros(dual.dual.disc.n_cells)
-    if not moment.sum() > 0.0:
-        return share
-    for side in dual.dual.mesh.mesh.f2t[:, dual.facet]:
-        there = side >= 0
-        np.add.at(share, side[there], moment[there])
-    return points * share / share.sum()
+    share, cost = np.zeros(dual.dual.disc.n_cells), dual.load_cost.copy()
+    np.add.at(cost, dual.facet, moment)
+    for side in dual.dual.mesh.mesh.f2t:
+        np.add.at(share, side[side >= 0], cost[side >= 0])
+    return points * share / share.sum() if share.sum() > 0.0 else share
 
 
 def _tether_cost(dual: DualProblem, law: MembraneLaw, result: PathResult, held: Array) -> tuple[float, Array]:
