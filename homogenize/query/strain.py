@@ -73,7 +73,8 @@ class _Evaluation(Rows):
 
     @property
     def size(self) -> Array:
-        return np.abs(self.r).max(axis=1)
+        """What is left of r, and how far E is from a strain that a cell can have, (n,)."""
+        return np.maximum(np.abs(self.r).max(axis=1), np.abs(self.E - _possible(self.E)).max(axis=1))
 
 
 def locked_strain(law: MembraneLaw, alpha_deg: Array, beta_deg: Array, rows: LockedRows | None = None) -> LockedStrain:

@@ -10,7 +10,7 @@ from homogenize.fitting.refine import refined_half_spaces
 from homogenize.fitting.report import random_loads
 from homogenize.fitting.rows import LockedRows, rows_from_provenance, rows_from_table, rows_to_dict
 from homogenize.io import default_law
-from homogenize.laws.net import diagonal_net
+from homogenize.laws.net import diagonal_net, ring_cell, ring_net
 from homogenize.laws.polyhedral import polyhedral_law
 from homogenize.query.strain import locked_strain
 from homogenize.query.strain_bounds import strain_bounds
@@ -60,12 +60,16 @@ def test_a_fibre_under_its_own_load_is_not_unique():
     assert found.E[0] @ (net.half_spaces().S[0] * [1.0, 2.0, 1.0]) == pytest.approx(0.105, abs=1e-9)
 
 
-def test_the_shipped_law_carries_every_load():
-    alpha, beta = (a.ravel() for a in np.meshgrid(np.arange(-90.0, 91.0, 15.0), np.arange(0.0, 91.0, 15.0)))
-    law = default_law()
+@pytest.mark.parametrize(("law", "least"), [(default_law(), 1.0), (ring_net(ring_cell(5.0, 0.5, 11.0, 12.646)), 0.9)])
+def test_a_law_carries_loads_at_strains_of_its_own(law, least):
+    """Of a net all but those of rank one that draw it to a line."""
+    alpha, beta = (
+        a.ravel() for a in np.meshgrid(np.arange(-90.0, 91.0, 15.0), [0.0, 3.0, 15.0, 45.0, 75.0, 87.0, 90.0])
+    )
     found = locked_strain(law, alpha, beta)
-    assert (found.status == "converged").mean() == 1.0
-    assert law.cut(found.E).violation.max() < 1e-10
+    good = found.status == "converged"
+    assert good.mean() >= least
+    assert law.cut(found.E[good]).violation.max() < 1e-10
 
 
 def test_a_strain_that_is_not_found_says_so(ellipsoid, monkeypatch):
