@@ -147,7 +147,7 @@ def features(solution: CurtainSolution, *, bounds: bool, picture: bool) -> list[
         rows.append(("rounds", True, f"{settling.rounds} convex solves: bodies or wind on the present shape; {still}"))
     if solution.second_step is not None:
         rows.append(("elastic-forces", *solution.second_step))
-    asked = "[solver] bounds or adapt" if scene.solver.is_bounded else "not asked for"
+    asked = "[solver] bounds or adapt, or rings on demand" if scene.solver.is_bounded else "not asked for"
     rows.append(("bounds", bounds, f"{asked}: a second, equilibrated solution and an error map"))
     rows.append(("picture", picture, "curtain.png" if picture else "--no-picture"))
     return [{"feature": name, "used": used, "why": why} for name, used, why in rows]
