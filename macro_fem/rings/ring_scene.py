@@ -17,7 +17,7 @@ from homogenize import CellInfo, MembraneLaw, cell_of, default_law, with_materia
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.discretization import discretize
-from macro_fem.scene.checks import check_sizes, keys_set
+from macro_fem.scene.checks import OF_HOOKS, check_sizes, keys_set
 from macro_fem.scene.loads import PER_MM2, areal_mass, bar_masses, breeze, nodal_forces, weight_per_area, wind_per_area
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import Body
@@ -188,8 +188,9 @@ def _nearest_rings(mesh: FiniteMesh, nodes: Array) -> tuple[Index, csr_matrix]:
 def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozenset[int] | None = None) -> RingScene:
     """The rings of a mesh under the loads and supports of a scene; released: as of `make_problem`."""
     scene, notes = _in_whole_cells(scene, info)
-    if unread := keys_set(scene.solver, OF_DISK):
-        notes += (f"[solver] {', '.join(unread)}: has no effect on every ring",)
+    unread = [("[solver]", keys_set(scene.solver, OF_DISK)), ("[load]", keys_set(scene.load, ["steps"]))]
+    unread += [(item.where, keys_set(item, OF_HOOKS)) for item in scene.items]
+    notes += tuple(f"{where} {', '.join(keys)}: has no effect on every ring" for where, keys in unread if keys)
     side = info.b_y_mm if scene.curtain.weave_angle % 180.0 == 90.0 else info.b_x_mm
     width = float(np.ptp(scene.curtain.corners(scene.mesh.cells)[:, 0]))
     one_per_cell = replace(scene.mesh, cells=max(1, round(width / side)), element="P1", pattern="aligned")

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 
 OF_HOOKS, OF_REST = ("capacity", "rings_per_hook"), ("tolerance", "max_iterations", "stabilising_tension")
-"""Keys that a curtain in motion does not read: of what holds and loads points, and of how it is solved at rest."""
+"""Keys that a curtain in motion does not read: of what holds and loads points, nor do rings, and of how it is solved at
+rest."""
 
 
 def check_scene(scene: Scene) -> None:

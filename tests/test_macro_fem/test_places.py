@@ -299,15 +299,14 @@ def test_the_pitch_that_fits_is_told(tmp_path, keys, count, asked):
 
 def test_nearly_whole_cells_keep_the_rings_at_the_corners():
     """75.9 mm are six cells of 12.646 mm: the corner rings must not go, nor the support move by 1.9 mm."""
-    sides, corners = ((6 * RINGS.b_x_mm, height) for height in (6 * RINGS.b_y_mm, 75.9)), [macro_fem.Corners()]
-    asked = macro_fem.Solver(), macro_fem.Solver(kind="elastic", bounds=True)
-    scenes = [
-        macro_fem.Scene(macro_fem.Rectangle(*both), corners, solver=of) for both, of in zip(sides, asked, strict=True)
-    ]
-    exact, rounded = (ring_scene(scene, default_law()) for scene in scenes)
+    width, solver = 6 * RINGS.b_x_mm, macro_fem.Solver(kind="elastic", bounds=True)
+    first = macro_fem.Scene(macro_fem.Rectangle(width, 6 * RINGS.b_y_mm), [macro_fem.Corners()])
+    other = macro_fem.Scene(macro_fem.Rectangle(width, 75.9), [macro_fem.Corners(rings_per_hook=2)], solver=solver)
+    exact, rounded = (ring_scene(scene, default_law()) for scene in (first, other))
     assert exact.notes == ()
     assert "height = 75.9 mm is taken as 6 whole cells" in rounded.notes[0]
-    assert rounded.notes[1] == "[solver] kind, bounds: has no effect on every ring"
+    unread = "[solver] kind, bounds", "[support] (corners) rings_per_hook"
+    assert rounded.notes[1:] == tuple(f"{keys}: has no effect on every ring" for keys in unread)
     assert len(rounded.mesh.X) == len(exact.mesh.X)
     for (_, one), (_, other) in zip(exact.groups, rounded.groups, strict=True):
         assert rounded.mesh.X[other[:, 0]] == pytest.approx(exact.mesh.X[one[:, 0]])
