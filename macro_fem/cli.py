@@ -53,7 +53,7 @@ _goes_on = click.option(
 @click.option("--accuracy", type=float, help="With --rings: width of the interval over the height.  [default: 5e-3]")
 @click.option("--cache", type=PATH, help="Folder where answers of the rings are kept.")
 @click.option("--no-cache", is_flag=True, help="Keep no answers of the rings, and read none.")
-@click.option("--report", type=PATH, help="Write a report of two pages, PDF.")
+@click.option("--report", type=PATH, help="Write a report, PDF.")
 @click.option("--dxf", type=PATH, help="Write the outline of the flat sheet (needs ezdxf).")
 @click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
 @_goes_on

@@ -121,7 +121,7 @@ class MembraneSolution(Solution):
         write_curtain_page(path, self.loaded)
 
     def write_report(self, path: str | Path, inputs: Sequence[Path | None] = ()) -> None:
-        """Write two pages of PDF: scene, shape, order, forces, factors, limits, checksums of `inputs` (matplotlib)."""
+        """Write a report as PDF: scene, shape, order, forces, factors, limits, checksums of `inputs` (matplotlib)."""
         Pictures(picture=False, report=Path(path)).check(inputs=inputs)
         from macro_fem.report import write_report
 

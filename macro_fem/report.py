@@ -1,4 +1,4 @@
-"""The report of a run: two pages of A4 as PDF, vector graphics by matplotlib."""
+"""The report of a run: two pages of A4, or more of long tables, as PDF, vector graphics by matplotlib."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from macro_fem.output.pictures import plot_line_loads
 from macro_fem.output.weakest import links
 from macro_fem.scene.tables import Bar, EdgeLoad, Wind
 from macro_fem.solution import CurtainSolution
-from macro_fem.told import combination_lines, order_lines, verdict
+from macro_fem.told import combination_lines, components, order_lines, verdict
 from rve.common import atomic_path, checksum, digits
 from rve.common.drawing.plane import BLUE, VERMILION, new_figure
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 A4 = (8.27, 11.69)
 WIDTH = 105
 """Characters of a line."""
+TOP, FOOT, LINE, FEWEST = 0.93, 0.05, 0.0128, 8
+"""Where text begins and ends on a page, the height of a line, and the fewest lines of a section that are parted."""
 MOST_ROWS = 44
 """Most points in the table of forces: those with the largest ones."""
 LIMITS = (
@@ -50,7 +52,7 @@ def write_report(
     from matplotlib.backends.backend_pdf import PdfPages
 
     title = f"Curtain of ring mesh: {Path(solution.problem.scene.source).stem}"
-    first, second, y = _page(title, 1), _page(title, 2), 0.93
+    first = _page(title)
     _draw_scene(solution, first.add_axes((0.1, 0.57, 0.8, 0.31)))
     shape = first.add_axes((0.14, 0.23, 0.74, 0.3))
     plot_line_loads(solution, shape).legend().remove()
@@ -59,40 +61,52 @@ def write_report(
     words, holds = verdict(summary)
     _section(first, 0.945, words, [], BLUE if holds else VERMILION)
     height = f"  mean height {summary['mean_height_mm']:.1f} mm"
-    _section(first, 0.16, "What to order, and what it covers", [*order_lines(summary["order"]), height])
+    _section(first, 0.16, "What to order, and what it covers", _wrapped([*order_lines(summary["order"]), height]))
+    pages, y = [first], FOOT
     for head, lines, is_table in _sections(summary, filter(None, inputs)):
-        y = _section(second, y, head, lines, is_table=is_table)
+        left = _wrapped(lines, is_table)
+        while left:
+            if (room := int((y - FOOT) / LINE) - 3) < min(len(left), FEWEST):
+                pages.append(_page(title))
+                y, room = TOP, int((TOP - FOOT) / LINE) - 3
+            y = _section(pages[-1], y, head, left[:room], is_table=is_table)
+            left = left[room:]
+    for number, page in enumerate(pages, 1):
+        page.text(0.92, 0.03, f"page {number} of {len(pages)}", size=8, ha="right")
     told = {"Title": title, "Creator": "macro_fem", "CreationDate": None}
     with atomic_path(path) as temporary, PdfPages(temporary, metadata=told) as file:
-        file.savefig(first)
-        file.savefig(second)
+        for page in pages:
+            file.savefig(page)
 
 
-def _page(title: str, number: int) -> Figure:
-    """A page with its head and foot."""
+def _page(title: str) -> Figure:
+    """A page with its head."""
     figure = new_figure(*A4)
     figure.set_layout_engine("none")
     figure.text(0.08, 0.955, title, size=15, weight="bold")
-    figure.text(0.92, 0.03, f"page {number} of 2", size=8, ha="right")
     return figure
 
 
+def _wrapped(lines: Iterable[str], is_table: bool = False) -> list[str]:
+    """Lines as long as fit a page; those of tables are as they are."""
+    each = ([line] if is_table else textwrap.wrap(line, WIDTH, subsequent_indent="    ") for line in lines)
+    return [part for parts in each for part in parts]
+
+
 def _section(
-    page: Figure, y: float, title: str, lines: Iterable[str], colour: str = "#111111", is_table: bool = False
+    page: Figure, y: float, title: str, text: list[str], colour: str = "#111111", is_table: bool = False
 ) -> float:
     """A title and lines of text below the height `y`; the height below them."""
     head = textwrap.wrap(title, 90)
     page.text(0.08, y, "\n".join(head), size=10, weight="bold", va="top", color=colour, linespacing=1.25)
     y -= 0.006 + 0.0148 * len(head)
-    wrapped = ([line] if is_table else textwrap.wrap(line, WIDTH, subsequent_indent="    ") for line in lines)
-    text = [part for parts in wrapped for part in parts]
     family = "monospace" if is_table else "sans-serif"
     page.text(0.08, y, "\n".join(text), size=7.5, family=family, va="top", linespacing=1.25)
-    return y - 0.0128 * len(text) - 0.01
+    return y - LINE * len(text) - 0.01
 
 
 def _sections(summary: dict[str, Any], inputs: Iterable[Path]) -> Iterable[tuple[str, Iterable[str], bool]]:
-    """Titles and lines of the second page, and whether the lines are a table."""
+    """Titles and lines of the further pages, and whether the lines are a table."""
     stress = summary["ring_yield_N_per_mm2"]
     told = "not known" if stress is None else f"{stress:g} N/mm2"
     material = f"material of the rings: {summary['ring_material'] or 'not known'}, yield stress {told}"
@@ -110,8 +124,7 @@ def _sections(summary: dict[str, Any], inputs: Iterable[Path]) -> Iterable[tuple
     ]
     shown = sorted(sorted(points, key=lambda row: -row[0])[:MOST_ROWS], key=lambda row: (row[1], row[2], -row[3]))
     rows = [
-        f"{name:<8}{x:>6.0f}{h:>6.0f}{digits(size):>8}  ({', '.join(map(digits, force))})"
-        for size, name, x, h, force in shown
+        f"{name:<8}{x:>6.0f}{h:>6.0f}{digits(size):>8}  ({components(*force)})" for size, name, x, h, force in shown
     ]
     half, wide = (len(rows) + 1) // 2, max(map(len, rows), default=0) + 3
     columns = [f"{left:<{wide}}{right}".rstrip() for left, right in zip_longest(rows[:half], rows[half:], fillvalue="")]

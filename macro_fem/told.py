@@ -189,12 +189,12 @@ def side_by_side(summary: dict[str, Any]) -> list[str]:
 
 def _text(value: Any) -> str:
     if isinstance(value, list):
-        return "; ".join("-" if force is None else _force(*force) for force in value)
+        return "; ".join("-" if force is None else components(*force) for force in value)
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _force(x: float, y: float, z: float = 0.0) -> str:
-    """Components with three digits, rounding beside the largest as 0; the third one only where there is one."""
+def components(x: float, y: float, z: float = 0.0) -> str:
+    """Of a force with three digits, rounding beside the largest as 0; the third one only where there is one."""
     least = 1e-6 * max(abs(x), abs(y), abs(z))
     parts = [one if abs(one) > least else 0.0 for one in (x, y, z)]
     return " ".join(map(digits, parts if parts[2] else parts[:2]))
