@@ -13,6 +13,7 @@ import numpy as np
 from macro_fem.output.forces import spot_loads
 from macro_fem.output.pictures import plot_line_loads
 from macro_fem.output.weakest import links
+from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Bar, EdgeLoad, Wind
 from macro_fem.solution import CurtainSolution
 from macro_fem.told import combination_lines, components, order_lines, verdict
@@ -63,7 +64,8 @@ def write_report(
     height = f"  mean height {summary['mean_height_mm']:.1f} mm"
     _section(first, 0.16, "What to order, and what it covers", _wrapped([*order_lines(summary["order"]), height]))
     pages, y = [first], FOOT
-    for head, lines, is_table in _sections(summary, filter(None, inputs)):
+    loads = "Loads, at x and y in the flat sheet, mm", [_loads(solution.problem.scene)], False
+    for head, lines, is_table in (loads, *_sections(summary, filter(None, inputs))):
         left = _wrapped(lines, is_table)
         while left:
             if (room := int((y - FOOT) / LINE) - 3) < min(len(left), FEWEST):
@@ -141,7 +143,7 @@ def _vector(parts: Iterable[float]) -> str:
 
 
 def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
-    """The flat sheet with its outline, dimensions, held points and edges, and loads."""
+    """The flat sheet with its outline, dimensions, held points and edges, and loads at points."""
     scene, mesh = solution.problem.scene, solution.problem.mesh.mesh
     ax.plot(*mesh.p[:, mesh.facets[:, mesh.boundary_facets()]], color="#555555", lw=1.0)
     for held in solution.problem.supports.held:
@@ -162,15 +164,18 @@ def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
     for row in solution.problem.mesh.hooks.values():
         first, (x, y) = np.add(mesh.p[:, row.nodes[:2]].T, [0.0, 0.6 * off])
         span(first, (x, y), (x + 0.2 * off, y), f"{len(row.nodes)} points, {row.pitch:g} mm apart")
-    forces = [load for _, load in spot_loads(scene)]
-    for one in forces:
+    for _, one in spot_loads(scene):
         way = np.array(one.force[:2]) / (np.linalg.norm(one.force) or 1.0) * 0.1 * size
         ax.annotate("", np.add(one.at, way), one.at, arrowprops={"arrowstyle": "->", "color": VERMILION, "lw": 1.5})
-    winds = ((one.speed, "m/s") if one.speed is not None else (one.pressure, "N/m2") for one in scene.of(Wind))
-    loads = ["Loads: weight", *(f"bar of {one.mass:g} kg on {one.edge}" for one in scene.of(Bar))]
-    loads += [f"wind of {value:g} {unit}" for value, unit in winds]
-    loads += [f"{_vector(one.force)} N at {_vector(one.at)}" for one in forces]
-    loads += [f"{_vector(one.force)} N/mm on {one.edge}" for one in scene.of(EdgeLoad)]
-    ax.text(0.0, 1.04, "Flat sheet, mm. " + ", ".join(loads), transform=ax.transAxes, size=8, wrap=True)
+    ax.set_title("Flat sheet, mm", fontsize=8, loc="left")
     ax.set(xlim=(x0 - off, x1 + 2 * off), ylim=(y0 - 2 * off, y1 + 1.8 * off), aspect="equal")
     ax.axis("off")
+
+
+def _loads(scene: Scene) -> str:
+    """The loads of a scene in words."""
+    winds = ((one.speed, "m/s") if one.speed is not None else (one.pressure, "N/m2") for one in scene.of(Wind))
+    loads = ["weight", *(f"bar of {one.mass:g} kg on {one.edge}" for one in scene.of(Bar))]
+    loads += [f"wind of {value:g} {unit}" for value, unit in winds]
+    loads += [f"{_vector(one.force)} N at {_vector(one.at)}" for _, one in spot_loads(scene)]
+    return ", ".join([*loads, *(f"{_vector(one.force)} N/mm on {one.edge}" for one in scene.of(EdgeLoad))])

@@ -14,7 +14,7 @@ from homogenize import fit
 from macro_fem import Bar, Combination, Corners, EdgeLoad, Hooks, Mesh, Outline, Rectangle, Scene, Wind, solve
 from macro_fem.cli import main
 from macro_fem.output import weakest
-from macro_fem.report import _sections, write_report
+from macro_fem.report import _loads, _sections, write_report
 from macro_fem.size import search
 from macro_fem.told import governing_line
 from rve import Cell, grid, solve_table, with_rings
@@ -200,9 +200,9 @@ def test_the_report_is_two_pages_or_more_where_tables_are_long(tmp_path):
     done = CliRunner().invoke(main, ["run", str(scene), *out, "--dxf", str(tmp_path / "flat.dxf")])
     assert done.exit_code == 0, done.output
     assert (tmp_path / "flat.dxf").exists()
-    (row,) = pd.read_csv(tmp_path / "o" / "order.csv").to_dict("records")
     summary = json.loads((tmp_path / "o" / "summary.json").read_text())
-    assert row == pytest.approx(summary["order"])
+    assert pd.read_csv(tmp_path / "o" / "order.csv").to_dict("records") == [pytest.approx(summary["order"])]
+    assert _loads(hung(EdgeLoad("left", (0.5, 0.0)))) == "weight, bar of 2 kg on bottom, (0.5, 0) N/mm on left"
     heads = [head for head, *_ in _sections(summary, []) if head.startswith(("What gives", "Forces of supports"))]
     assert ["without partial factors" in head for head in heads] == [True, True]
     write_report(tmp_path / "long.pdf", solve(hung()).loaded, summary | {"combinations": 90 * summary["combinations"]})
