@@ -19,7 +19,7 @@ from rve.cli import main as rve
 
 GOLDEN = json.loads((Path(__file__).parent / "golden" / "numbers.json").read_text("utf-8"))
 SOLVED = 1e-6
-"""Relative tolerance of heights and potentials: scenes ask for a gap of 1e-9, processors differ."""
+"""Relative tolerance of heights and potentials: scenes ask for a gap of 1e-9, processors differ. 1e-4 N mm are none."""
 
 pytestmark = pytest.mark.slow
 
@@ -62,7 +62,7 @@ def test_heights_potentials_and_forces_of_scenes(name, tmp_path, law):
     summary = solved(name, kept, tmp_path, law, "run")
     assert summary["status"] == kept["status"]
     assert summary["mean_height_mm"] == pytest.approx(kept["mean_height_mm"], rel=SOLVED)
-    assert summary["potential_primal_N_mm"] == pytest.approx(kept["potential_primal_N_mm"], rel=SOLVED)
+    assert summary["potential_primal_N_mm"] == pytest.approx(kept["potential_primal_N_mm"], rel=SOLVED, abs=1e-4)
     if "[[obstacle]]" in kept["scene"]:  # which bear a part of the load that rigid and elastic rings share otherwise
         return
     total = np.sum([support["force_N"] for support in summary["support_forces"]], axis=0)
