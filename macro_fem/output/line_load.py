@@ -14,17 +14,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import skfem
+from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import triangle_areas
 from macro_fem.output.forces import PointForce, point_forces
+from macro_fem.scene.loads import disk_areas
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, digits
 
-PIECES = 8.0
-"""Cells larger than the averaging area's diameter over this are cut into pieces: the mean is known to a part in 100."""
-MOST_CUTS = 64
-"""Pieces along a side of a cell; larger cells have one value over several averaging areas anyway."""
 WIDEST = 2.5
 """Averages reach no farther than this many radii of a disk of the same area, in corners of 60 degrees and more."""
 STEPS = np.linspace(0.0, 1.5, 7)
@@ -35,7 +33,7 @@ FINE = 0.25
 """Sides of mesh cells over that of the averaging area up to which an average at a held point counts as known: 5 to
 15 % below that of finer meshes (docs/measured/steel.md, cells of 3 mm). Smaller: flags more meshes as too coarse."""
 SAME = 1e-9
-"""Distances that differ by less than this part of the radius of an average are equal."""
+"""Part of the curtain's area by which an average of all of it may miss, as areas in disks are rounded."""
 NEAR = 2.0
 """The largest line load belongs to a held or loaded point that is within this many sides of a cell."""
 
@@ -112,6 +110,7 @@ class Nearby:
         self.middle = self.corners.mean(axis=1)
         self.half = np.linalg.norm(self.corners - self.middle[:, None], axis=-1).max(axis=1)
         self.radius = float(np.sqrt(area / np.pi))
+        self.whole = float(triangle_areas(self.corners).sum())
         self.tree = cKDTree(self.middle)
 
     @cached_property
@@ -152,38 +151,14 @@ class Nearby:
         return cells[np.linalg.norm(self.middle[cells] - x, axis=1) <= radius + self.half[cells]]
 
     def _nearest(self, x: Array) -> tuple[np.ndarray, Array, float]:
-        """Triangles (k,) of the pieces around x (2,), the area (k,) of each that counts, and how far they reach."""
-        radius = 1.1 * self.radius
-        while True:
-            cells = self._around(x, radius)
-            points, weight, cell = _pieces(self.corners[cells], 2.0 * self.radius / PIECES)
-            distance = np.linalg.norm(points - x, axis=1)
-            order = np.argsort(distance, kind="stable")
-            # Pieces equally far away count alike, so that mirror images have one average.
-            circle = np.cumsum(np.diff(distance[order], prepend=0.0) > SAME * self.radius)
-            size = np.bincount(circle, weight[order])
-            before = np.cumsum(size) - size
-            share = np.clip((self.area - before) / np.maximum(size, 1e-300), 0.0, 1.0)
-            part = share[circle] * weight[order]
-            reach = float(distance[order][part > 0.0].max(initial=0.0))
-            if len(cells) == len(self.P) or (len(part) and part[-1] == 0.0 and reach <= radius):
-                return cells[cell[order]], part, reach
-            radius *= 1.4
+        """Triangles (k,) that the disk around x (2,) meets, the area (k,) of each in it, and its radius."""
+        wanted = min(self.area, (1.0 - SAME) * self.whole)
+        reach = float(np.sqrt(wanted / np.pi))
 
+        def areas(radius: float) -> Array:
+            return disk_areas(self.corners[cells], x, radius)
 
-def _pieces(corners: Array, side: float) -> tuple[Array, Array, np.ndarray]:
-    """Middles (n, 2), areas (n,) and triangles (n,) of equal parts of the triangles, of about `side` mm or less."""
-    area = triangle_areas(corners)
-    cuts = np.clip(np.ceil(np.sqrt(area) / side), 1, MOST_CUTS).astype(int)
-    points, which = [], []
-    for k in np.unique(cuts):
-        i, j = np.divmod(np.arange(k * k), k)
-        up = i + j < k
-        # the lower-left halves of a k x k grid, and the upper-right ones folded back below the diagonal
-        u = np.where(up, i + 1.0 / 3.0, k - i - 1.0 / 3.0) / k
-        v = np.where(up, j + 1.0 / 3.0, k - j - 1.0 / 3.0) / k
-        shape = np.stack([1.0 - u - v, u, v], axis=-1)
-        points.append(np.einsum("pc,nck->npk", shape, corners[cuts == k]).reshape(-1, 2))
-        which.append(np.repeat(np.flatnonzero(cuts == k), k * k))
-    cell = np.concatenate(which)
-    return np.concatenate(points), (area / cuts**2)[cell], cell
+        while len(cells := self._around(x, reach)) == 0 or areas(reach).sum() < wanted:
+            reach *= 1.5
+        radius = float(brentq(lambda radius: areas(radius).sum() - wanted, 0.5 * reach, reach, xtol=1e-12 * reach))
+        return cells, areas(radius), radius

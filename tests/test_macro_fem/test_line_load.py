@@ -35,6 +35,16 @@ def test_an_even_load_is_its_own_average(n, x):
     np.testing.assert_allclose(near.bound, np.linalg.norm(P, 2), rtol=1e-12)
 
 
+@pytest.mark.parametrize("away", [0.0, 0.3, 0.9])
+def test_an_average_has_the_share_of_a_disk_that_a_triangle_cuts_off(away):
+    """Two triangles, one with a load of 1 and one without: the segment of a disk beyond the diagonal, and no more."""
+    radius = np.sqrt(4.0 / np.pi)
+    near = nearby(1, lambda X: (X[:, 0] > X[:, 1])[:, None, None] * np.eye(2), 4.0)
+    share = (np.arccos(away) - away * np.sqrt(1.0 - away**2)) / np.pi
+    x = 5.0 + away * radius / np.sqrt(2.0) * np.array([-1.0, 1.0])
+    assert near.mean(x)[0, 0] == pytest.approx(share, rel=1e-9)
+
+
 @pytest.mark.parametrize(("x", "share"), [([0.0, 0.0], 0.25), ([5.0, 0.0], 0.5), ([5.0, 5.0], 1.0)])
 def test_the_average_of_a_point_load_has_its_closed_form(x, share):
     """P = 1 / r over a part of a disk of radius R: 2 / R, where share pi R^2 is the area; P = y: as at its middle."""
