@@ -22,6 +22,7 @@ from macro_fem.rings.curtain import read_curtain
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import load_scene
 from rve.common.errors import InputError
+from rve.common.files import checksum
 from rve.common.texts import numbers_of
 from rve.directions import parse_angles, read_loads
 from rve.geometry.cell import Cell
@@ -78,7 +79,9 @@ def make_curtain(folder):
     cell_data = {name: [values] for name, values in fields.items()}
     meshio.vtu.write(folder / "curtain.vtu", meshio.Mesh(moved, [("triangle", cells)], data, cell_data))
     rings = {"r1_mm": 5.0, "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": 12.646}
-    (folder / "summary.json").write_text(json.dumps({"status": "converged", "hang_deg": 0.0, "rings": rings}))
+    summary = {"status": "converged", "hang_deg": 0.0, "rings": rings}
+    listed = {"curtain.vtu": checksum(folder / "curtain.vtu")}
+    (folder / "summary.json").write_text(json.dumps(summary | {"files": listed}))
 
 
 def make_table(folder):
