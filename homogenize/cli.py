@@ -79,9 +79,7 @@ def support(law: Path, load: str) -> None:
 @click.argument("law", type=click.Path(path_type=Path))
 @click.option("--S", "load", help="S11,S12,S22: direction of a tensile line load, any unit.")
 @click.option("--plot", type=click.Path(path_type=Path), help="Picture to write, PNG: the strength over all loads.")
-@click.option(
-    "--yield", "yield_stress", type=float, help="Yield stress of the wire in N/mm2; by default the material's."
-)
+@click.option("--yield", "yield_stress", type=float, help="Yield stress in N/mm2; by default the material's.")
 def strength(law: Path, load: str | None, plot: Path | None, yield_stress: float | None) -> None:
     """Print the line loads in N/mm, S of unit trace times what is printed, at which rings first yield and collapse."""
     from homogenize.query.answers import strength_answer

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from homogenize.fitting.bounds import inner_law, outer_law
-from homogenize.fitting.fit import cell_of
+from homogenize.fitting.fit import cell_of, stiffness_of
 from homogenize.fitting.rows import LockedRows, rows_from_provenance, rows_from_table, with_mirror
 from homogenize.io import DEFAULT_LAW, load_law
 from homogenize.laws.geometry import highest
@@ -87,8 +87,8 @@ def interval_of_table(path: str | Path) -> LawInterval:
     Its law is the inner one.
     """
     table = read_table(path)
-    found = law_interval(rows_from_table(table), cell=cell_of(table), strength=strength_of_table(table))
-    return replace(found, source=str(path))
+    rows, stiffness = rows_from_table(table), stiffness_of(table)[0]
+    return replace(law_interval(rows, None, stiffness, cell_of(table), strength_of_table(table)), source=str(path))
 
 
 def interval_of_law(law: StoredLaw, source: str) -> LawInterval | None:

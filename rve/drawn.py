@@ -191,8 +191,7 @@ class DrawnRings:
 def force_scale(force: Array) -> Scale:
     """Colours of contact forces (n,) in N by their logarithm; 0.2 % of the rings are above its round top end."""
     top, largest = rounded_up(max(float(np.quantile(force, 0.998)), 1e-12)), float(force.max(initial=0.0))
-    label = "largest contact force on the ring, N"
-    return Scale(label, LEAST * top, top, largest, "log")
+    return Scale("largest contact force on the ring, N", LEAST * top, top, largest, "log")
 
 
 def solidity(cell: Cell, options: DirectOptions | None = None) -> float:

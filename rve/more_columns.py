@@ -9,7 +9,7 @@ import numpy as np
 from rve.common import Array, InputError, Typed
 from rve.common.rings import Joint
 from rve.common.tensor import trace
-from rve.equilibrium.elastic_rings import RingStates, ring_states
+from rve.equilibrium.elastic_rings import ring_states
 from rve.equilibrium.interior_point import DirectOptions, LockedStates
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell, weave_axes, weave_sides
@@ -38,9 +38,10 @@ def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOption
 
     compliance: dE/dS in mm/N for a line load of 1 N/mm, to first order: the bend of the locking surface and what the
     rings give; at s N/mm the bend is to be divided by s; where the strain is not unique, with its free part held.
-    strength: see `StrainTable`; where several states coexist, that of the one that yields, or collapses, first. Rows
-    that have not converged have nan in both, and so have those of a table that was read from a file whose state is not
-    that from the slack pose. InputError for a cell other than the table's. Docs: theory.md, 7.
+    strength: see `StrainTable`. Where several states coexist the compliance is their mean by shares, the strength that
+    of the one that yields, or collapses, first. Rows that have not converged have nan in both, and so have those of a
+    table that was read from a file whose state is not that from the slack pose. InputError for a cell other than the
+    table's. Docs: theory.md, 7.
 
     >>> from rve.solve import solve_table
     >>> found = with_rings(solve_table(Cell(), ([0.0], [90.0])), Cell())
@@ -58,16 +59,22 @@ def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOption
     found = replace(states.found, status=np.where(is_known, states.found.status, "stalled"))
     sides = (known["b_x_mm"], known["b_y_mm"]) if "b_x_mm" in known else reference_sides(cell, DirectOptions())
 
-    def solved(some: LockedStates) -> tuple[RingStates, Array]:
-        """The rings of states, and their strength (n, 2)."""
+    def solved(some: LockedStates) -> tuple[Array, Array]:
+        """Compliance (n, 2, 3, 3) in weave axes, of the bend at unit trace of S and of the rings; strength (n, 2)."""
         own = weave_sides(some.cell, sides)
         equations, S = Equations.of(some.cell.weave, cell.wire), second_pk(deformation(some.pose, own), some.s)
         rings = ring_states(equations, some.found, some.s, own, material.poisson, joint.angles_deg)
-        return rings, np.stack([rings.first_yield, rings.collapse], axis=1) / (cell.r1 * trace(S))[:, None]
+        size = trace(S)[:, None]
+        parts = [rings.locking * size[..., None], rings.elastic / (material.young_N_per_mm2 * cell.r1)]
+        return np.stack(parts, axis=1), np.stack([rings.first_yield, rings.collapse], axis=1) / (cell.r1 * size)
 
-    rings, strength = solved(replace(states, found=found))
-    for at, others in states.beside:
-        np.maximum.at(strength, at, solved(others)[1])
-    D = (rings.locking + rings.elastic / (material.young_N_per_mm2 * cell.r1))[:, weave_axes(cell), weave_axes(cell)]
+    own, strength = solved(replace(states, found=found))
+    parts = own.copy()
+    for at, share, others in states.beside:
+        other, asked = solved(others)
+        np.maximum.at(strength, at, asked)
+        np.add.at(parts, at, share[:, None, None, None] * (other - own[at]))
+    bend, give = np.moveaxis(parts[..., weave_axes(cell), weave_axes(cell)], 1, 0)
+    D = bend / trace(table.S)[:, None, None] + give
     provenance = known | {"compliance": "rings", "joint": joint.name, "material": asdict(material)}
     return replace(table, compliance=D, strength=strength, provenance=provenance)

@@ -103,7 +103,6 @@ def draw_case(table: StrainTable) -> Axes:
 
 def _arrows(ax: Axes, at: Array, way: Array, colour: str, width: float, label: str) -> None:
     """Arrows in mm that lead from `at` (n, 2) along `way` (n, 2)."""
-    style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "color": colour, "width": width}
-    ax.quiver(*at.T, *way.T, zorder=4, **style)
+    ax.quiver(*at.T, *way.T, angles="xy", scale_units="xy", scale=1.0, color=colour, width=width, zorder=4)
     ax.plot([], [], color=colour, marker=r"$\rightarrow$", ms=14, ls="none", label=label)
     ax.update_datalim(at + way)

@@ -180,12 +180,13 @@ def largest_states(
     unique[changed], loads[changed] = rows.unique[changed], s[changed]
     mixed = np.flatnonzero(changed & (rows.branch == "coexisting"))
     own, loads[mixed] = _under_own_loads(found.take(mixed), rows.S[mixed], mesh)
-    beside = [(at[~changed[at]], one.take(~changed[at])) for at, one in states.beside]
-    at, others = states_beside(rows, known)
+    beside = [(at[keep], share[keep], one.take(keep)) for at, share, one in states.beside for keep in [~changed[at]]]
+    at, share, others = states_beside(rows, known, s, mesh)
     if len(at):
         pushed = balanced(others.pose, unit_loads(others.S), mesh.dead, mesh.options.reach)
         pushed, carried = _under_own_loads(pushed, others.S, mesh)
-        beside.append((at, LockedStates(pushed, carried, np.zeros(len(at), dtype=bool), states.cell, states.reach)))
+        free = np.zeros(len(at), dtype=bool)
+        beside.append((at, share, LockedStates(pushed, carried, free, states.cell, states.reach)))
     return replace(states, found=found.put(mixed, own), unique=unique, s=loads, beside=tuple(beside)), rows, left
 
 

@@ -54,15 +54,8 @@ class SupportValue:
     states: KnownStates
     weave: Weave
 
-    @property
-    def b_x_mm(self) -> float:
-        """Side of the reference cell."""
-        return self.sides_mm[0]
-
-    @property
-    def b_y_mm(self) -> float:
-        """Side of the reference cell."""
-        return self.sides_mm[1]
+    b_x_mm = property(lambda self: self.sides_mm[0], doc="Side of the reference cell.")
+    b_y_mm = property(lambda self: self.sides_mm[1], doc="Side of the reference cell.")
 
     def __len__(self) -> int:
         return len(self.h)

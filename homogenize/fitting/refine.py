@@ -175,8 +175,7 @@ def on_arcs(nodes: Nodes, step_deg: float) -> tuple[Array, Array]:
     angle = np.arctan2(nodes.x[rim, 1], nodes.x[rim, 0])
     rim, angle = rim[np.argsort(angle)], np.sort(angle)
     step = np.mod(np.roll(angle, -1) - angle, 2.0 * np.pi)
-    parts = np.ceil(step / np.radians(step_deg)).astype(int)
-    arc, part = subdivision(parts)
+    arc, part = subdivision(np.ceil(step / np.radians(step_deg)).astype(int))
     i, j = rim[arc], np.roll(rim, -1)[arc]
 
     def along(node: Index) -> Array:

@@ -85,7 +85,8 @@ def rows_from_table(table: StrainTable) -> LockedRows:
     dropped = [f"row {i}: status {table.status[i]}" for i in np.flatnonzero(~table.converged)]
     dropped += [f"row {i}: not a finite load with S11 + S22 > 0" for i in np.flatnonzero(table.converged & ~ok)]
     dropped += [f"row {i}: the load is not tensile" for i in np.flatnonzero(ok & ~tensile)]
-    keep = np.flatnonzero(ok & tensile)
+    grid = np.lexsort((table.beta_deg, table.alpha_deg))  # the order of the rows is to change no answer
+    keep = grid[(ok & tensile)[grid]]
     if not keep.size:
         raise InputError("the table has no converged tensile row")
     S, E = table.S[keep] / size[keep, None], table.E[keep]

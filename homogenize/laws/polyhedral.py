@@ -92,7 +92,8 @@ class PolyhedralLaw(StoredLaw, kind="polyhedral"):
             raise InputError(f"{where} {error}") from error
 
     def softer(self, factor: float) -> PolyhedralLaw:
-        is_stated = str(self.provenance.get("stiffness", "stated")).startswith("stated")
+        unsaid = "stated" if np.array_equal(self.stiffness, STATED_STIFFNESS * np.eye(3)) else ""
+        is_stated = str(self.provenance.get("stiffness", unsaid)).startswith("stated")
         return self if is_stated else replace(self, stiffness=self.stiffness / factor)
 
 

@@ -29,18 +29,15 @@ def strain_answer(path: str | Path, alpha_deg: float, beta_deg: float) -> dict[s
     the load is not tensile or no strain is found.
     """
     law = load_law(path)
-    if not (np.isfinite(alpha_deg) and np.isfinite(beta_deg)):
-        raise InputError(f"--alpha {alpha_deg} --beta {beta_deg}: angles are finite numbers of degrees")
-    if not 0.0 <= beta_deg <= 90.0:
-        raise InputError(
-            f"--beta {beta_deg}: rings cannot push; both line loads are tensile for beta from 0 to 90 degrees"
-        )
+    told = f"--alpha {alpha_deg} --beta {beta_deg}"
+    if not (np.isfinite(alpha_deg) and 0.0 <= beta_deg <= 90.0):
+        raise InputError(f"{told}: angles are finite, and beta is from 0 to 90 degrees, as rings cannot push")
     rows = rows_from_provenance(law.provenance, str(path))
     found = locked_strain(law, np.array([alpha_deg]), np.array([beta_deg]), rows)
     if found.status[0] != "converged":
         raise InputError(
-            f"{path}: no strain of this law carries --alpha {alpha_deg} --beta {beta_deg}: the direction is missed "
-            f"by {found.residual[0]:.1e}; try a neighbouring angle"
+            f"{path}: no strain of this law carries {told}: the direction is missed by {found.residual[0]:.1e}; "
+            "try a neighbouring angle"
         )
     E, S = found.E[0], found.S[0]
     return {
@@ -78,13 +75,18 @@ def strength_answer(path: str | Path, S: Array, yield_N_per_mm2: float | None = 
     if strength is None:
         raise InputError(f"{path}: holds no strength; {MAKE_AGAIN}")
     unit = S[None] / check_tensile(S)
-    stress = strength.yield_stress(yield_N_per_mm2)
+    try:
+        stress = strength.yield_stress(yield_N_per_mm2)
+        used = [f(unit, stress)[0] for f in (strength.utilisation, strength.collapse_utilisation)]
+        compliance = float(strength.compliance_along(unit)[0])
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
     return {
         **components("S{}", unit[0]),
         "yield_N_per_mm2": stress,
-        "first_yield_N_per_mm": float(1.0 / strength.utilisation(unit, stress)[0]),
-        "collapse_N_per_mm": float(1.0 / strength.collapse_utilisation(unit, stress)[0]),
-        "compliance_mm_per_N": float(strength.compliance_along(unit)[0]),
+        "first_yield_N_per_mm": float(1.0 / used[0]),
+        "collapse_N_per_mm": float(1.0 / used[1]),
+        "compliance_mm_per_N": compliance,
         "error_between_rows": None if strength.error is None else asdict(strength.error),
         "material": strength.material.name,
         "joint": strength.joint,

@@ -98,10 +98,9 @@ def locked_strain(law: MembraneLaw, alpha_deg: Array, beta_deg: Array, rows: Loc
         state = state.put(failed[better], again.take(better))
     good = state.size <= TOLERANCE
     S = state.S / np.where(good, trace(state.S), 1.0)[:, None]
-    unique = face_width(law, S) < WIDTH
     status = np.where(good, "converged", "no_convergence")
     unknown = np.full(S.shape, np.nan)
-    found = LockedStrain(state.E, unknown, unknown, S, state.size, unique, status)
+    found = LockedStrain(state.E, unknown, unknown, S, state.size, face_width(law, S) < WIDTH, status)
     return found if rows is None else _with_rows(found, rows, alpha, beta)
 
 

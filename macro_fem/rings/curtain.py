@@ -5,7 +5,7 @@ Both come from an answer in memory, or from the files of `macro_fem run`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,7 +15,8 @@ from msgspec import Meta
 
 from macro_fem.fem.cells import recovered, triangle_areas
 from rve import Cell, cell_of_sides
-from rve.common import Array, Index, InputError, Rows, Typed, check_belongs, read_json_object, read_typed
+from rve.common import Array, Index, InputError, Rows, Typed, check_belongs, read_json_object, read_typed, types_of
+from rve.common.materials import STEEL, Material
 from rve.common.meshes import DISPLACEMENT, LINE_LOAD_1, STATE, STRAIN, STRESS, read_mesh_file
 from rve.common.rings import check_rings
 
@@ -25,10 +26,11 @@ SIDES = ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm")
 @dataclass(frozen=True)
 class Told(Typed):
     """What the summary of a curtain says: status of its solver, angle from the vertical to the weave's y axis, radii
-    and reference cell of its rings, None for a law without rings, and its supports."""
+    and reference cell of its rings, None for a law without rings, their material if it is known, and its supports."""
 
     hang_deg: Annotated[float, Meta(ge=-360.0, le=360.0)]
     rings: dict[str, Any] | None
+    material: Material | None = None
     status: str = "unknown"
     support_forces: tuple[dict[str, Any], ...] = ()
 
@@ -53,15 +55,14 @@ class Told(Typed):
             )
         r1, r2, b_x, b_y = (check_rings(rings, f"{source}: rings")[key] for key in SIDES)
         try:
-            return cell_of_sides(r1, r2, (b_x, b_y))
+            return replace(cell_of_sides(r1, r2, (b_x, b_y)), material=self.material or STEEL)
         except InputError as error:
             raise InputError(f"{source}: rings: {error}; give a law of rings side by side") from error
 
 
 def read_told(summary: dict[str, Any], source: str) -> Told:
     """What a summary tells of its curtain; InputError, which begins with `source`, for what does not fit."""
-    names = [item.name for item in fields(Told)]
-    return read_typed(Told, {key: summary[key] for key in names if key in summary}, f"{source}:")
+    return read_typed(Told, {key: summary[key] for key in types_of(Told) if key in summary}, f"{source}:")
 
 
 @dataclass(frozen=True)
@@ -86,9 +87,8 @@ class Curtain:
     @cached_property
     def F(self) -> Array:
         """Deformation gradients (t, d, 2) of the triangles."""
-        dX, dx = (
-            (one[:, 1:] - one[:, :1]).transpose(0, 2, 1) for one in (self.X[self.triangles], self.x[self.triangles])
-        )
+        corners = (places[self.triangles] for places in (self.X, self.x))
+        dX, dx = ((one[:, 1:] - one[:, :1]).transpose(0, 2, 1) for one in corners)
         return np.asarray(dx @ np.linalg.inv(dX))
 
 

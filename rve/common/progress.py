@@ -1,11 +1,7 @@
 """Live progress: solvers tell what they do, and whoever wants to see it listens, as with logging.
 
 with shown():                       # a line on the terminal: work, bar, time, remaining time
-    solve_table(cell, loads)
-
-tell("190 loads", 0.4)              # inside solvers; nothing happens unless somebody listens
-with part_of("load step 2 of 3", 1 / 3, 2 / 3):
-    solve_problem(problem)          # what it tells is said as a part of that
+    solve_table(cell, loads)        # tells, as in tell("190 loads", 0.4), what is lost where nobody listens
 """
 
 from __future__ import annotations

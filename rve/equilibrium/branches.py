@@ -104,12 +104,24 @@ def largest_rows(
     return rows, found, changed, left, known
 
 
-def states_beside(rows: RowStates, known: KnownStates) -> tuple[Index, KnownStates]:
-    """Coexisting rows (k,), and as many of the known states: the others that do the same work under their S."""
-    mixed = np.flatnonzero(rows.branch == "coexisting")
-    is_under = np.abs(rows.S[mixed, None] - known.S).max(axis=2) < ROUND_OFF
-    row, state = np.nonzero(is_under & (np.abs(rows.E[mixed, None] - known.E).max(axis=2) > MOVED))
-    return mixed[row], known.take(state)
+def states_beside(rows: RowStates, known: KnownStates, s: Array, mesh: LoadedCell) -> tuple[Index, Array, KnownStates]:
+    """Coexisting rows (k,), their other states of the same work, each once, and the shares (k,) of these in the mixture
+    under the Cauchy loads s (n, 3); 0 where shares are not found."""
+    row, share, state = list[int](), list[float](), list[int]()
+    for i in np.flatnonzero(rows.branch == "coexisting").tolist():
+        under = np.flatnonzero(np.abs(rows.S[i] - known.S).max(axis=1) < ROUND_OFF)
+        E = np.vstack([rows.E[i], known.E[under]])
+        others = np.flatnonzero((np.abs((E - E[0]) @ (rows.S[i] * WEIGHT)) <= WORK_TOLERANCE) & ~_is_repeated(E))[1:]
+        shares = equal_shares(s[i], E[[0, *others]], mesh)
+        row += [i] * len(others)
+        share += [0.0] * len(others) if shares is None else shares[1:].tolist()
+        state += under[others - 1].tolist()
+    return np.array(row, dtype=int), np.array(share), known.take(np.array(state, dtype=int))
+
+
+def _is_repeated(E: Array) -> Flags:
+    """Which of the strains E (m, 3) are those of an earlier one, (m,)."""
+    return np.array([bool((np.abs(E[:k] - E[k]).max(axis=1) < MOVED).any()) for k in range(len(E))])
 
 
 def _fill(rows: RowStates, status: NDArray[np.str_], s: Array, known: KnownStates, mesh: LoadedCell) -> RowStates:
@@ -222,8 +234,8 @@ def balance_works(
         left = []
         for i in open_:
             own = members[i]
-            other = [not (np.abs(E[own[:k]] - E[own[k]]).max(axis=1) < MOVED).any() for k in range(len(own))]
-            members[i] = own[other] if sum(other) > 1 else own  # two that have become one state count once
+            other = ~_is_repeated(E[own])  # two that have become one state count once
+            members[i] = own[other] if other.sum() > 1 else own
             shares = equal_shares(s[i], E[members[i]], mesh)
             if shares is None:
                 continue

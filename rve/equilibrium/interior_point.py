@@ -81,8 +81,8 @@ class Equilibrium(Rows):
 class LockedStates(Rows):
     """Locked states of n load cases: s (n, 3), Cauchy line loads in weave axes; unique (n,): False where the load
     leaves the strain free; cell: the mesh, whose weave lists the pairs of rings; reach: gap in r1 up to which contacts
-    are listed; beside: rows (k,) in which several states coexist, and as many of their other states, under the Cauchy
-    loads that they carry in their own poses.
+    are listed; beside: rows (k,) in which several states coexist, the shares (k,) of their other states, and as many of
+    these, under the Cauchy loads that they carry in their own poses.
     """
 
     found: Equilibrium
@@ -90,7 +90,7 @@ class LockedStates(Rows):
     unique: Flags
     cell: Cell
     reach: float
-    beside: tuple[tuple[Index, LockedStates], ...] = ()
+    beside: tuple[tuple[Index, Array, LockedStates], ...] = ()
 
     @property
     def pose(self) -> Pose:

@@ -77,14 +77,13 @@ def is_symmetric(pose: Pose, middle: tuple[int, int], tolerance: float) -> NDArr
 
 def symmetric_equations(equations: Equations, symmetry: Symmetry) -> Equations:
     """The equations in the 5 symmetric coordinates, with the kept pairs only."""
-    weave = replace(
-        equations.weave, pairs=equations.weave.pairs[symmetry.kept], linked=equations.weave.linked[symmetry.kept]
-    )
+    weave, kept = equations.weave, symmetry.kept
+    weave = replace(weave, pairs=weave.pairs[kept], linked=weave.linked[kept])
     modes = np.zeros((9, 5))
     modes[:3, :3] = np.eye(3)
     # Turning about z by half a turn, as good as the reflection for a torus, reverses both vectors of the tangent frame.
     modes[5:7, 3:], modes[7:, 3:] = np.eye(2), -np.eye(2)
-    return replace(equations, weave=weave, maps=equations.maps[symmetry.kept], modes=modes, middle=symmetry.middle)
+    return replace(equations, weave=weave, maps=equations.maps[kept], modes=modes, middle=symmetry.middle)
 
 
 def solve_equilibrium_symmetric(s: Array, equations: Equations, options: DirectOptions) -> Equilibrium:
@@ -126,14 +125,9 @@ def expand_symmetric(
 ) -> Equilibrium:
     """Equilibria of the symmetric equations with the contacts and forces of all pairs, and R of all equations."""
     part = found.contacts
-    lam = _shared_by_twins(part, found.lam, symmetry)
-    source = symmetry.source
-    images = replace(
-        part,
-        present=part.present[:, source],
-        gap=part.gap[:, source],
-        rho=part.rho[:, source] * symmetry.signs[:, None],
-    )
+    lam, source = _shared_by_twins(part, found.lam, symmetry), symmetry.source
+    rho = part.rho[:, source] * symmetry.signs[:, None]
+    images = replace(part, present=part.present[:, source], gap=part.gap[:, source], rho=rho)
     contacts = equations.contacts(found.pose, reach)
     copies = np.bincount(source)[source]
     lam = carry_forces(images, lam[:, source] / copies[:, None], contacts, np.zeros(len(s)))

@@ -105,6 +105,5 @@ class Dynamics:
 def copies(weave: Weave) -> Index:
     """How often each pair of `weave.pairs` occurs among the rings that carry mass, (p,): their stiffnesses add."""
     rings = {tuple(ring) for ring in weave.rings.tolist()}
-    return np.array(
-        [sum(c == a and (b, x + i, y + j) in rings for c, x, y in rings) for a, b, i, j in weave.pairs.tolist()]
-    )
+    pairs = weave.pairs.tolist()
+    return np.array([sum(c == a and (b, x + i, y + j) in rings for c, x, y in rings) for a, b, i, j in pairs])

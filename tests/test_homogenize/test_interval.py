@@ -7,23 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from homogenize.fitting.report import random_loads
 from homogenize.interval import interval_or_law, law_interval, read_law_interval
 from homogenize.io import DEFAULT_LAW
 from homogenize.laws.net import diagonal_net
 from rve.common.errors import InputError
-from rve.common.tensor import double_dot, from_disc
-
-
-def directions(count: int = 300) -> np.ndarray:
-    """Loads (n, 3) of unit trace, spread over the disc and its rim."""
-    rng = np.random.default_rng(5)
-    angle, radius = rng.uniform(0.0, 2.0 * np.pi, count), np.sqrt(rng.uniform(0.0, 1.0, count))
-    radius[:50] = 1.0
-    return from_disc(radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
+from rve.common.tensor import double_dot
 
 
 def test_the_law_of_a_file_lies_between_its_inner_and_outer_law():
-    found, S = read_law_interval(), directions()
+    found, S = read_law_interval(), random_loads(300)
     inner, law, outer = (one.support(S) for one in (found.inner, found.law, found.outer))
     # Between two of its 720 loads of rank one the inner law is passed by less than 1e-5.
     assert (law >= inner - 2e-5).all()
@@ -45,7 +38,7 @@ def test_rows_that_missed_the_largest_work_are_raised_to_what_others_do():
     assert found.raised > 1e-3
     assert found.rows.h[i] == pytest.approx(best, abs=1e-12)
     assert found.rows.h[j] == wrong.h[j]
-    assert (found.outer.support(directions()) >= found.inner.support(directions()) - 2e-5).all()
+    assert (found.outer.support(random_loads()) >= found.inner.support(random_loads()) - 2e-5).all()
 
 
 def test_files_without_rows_hold_a_law_and_no_interval(tmp_path: Path):

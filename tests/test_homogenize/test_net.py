@@ -3,17 +3,11 @@
 import numpy as np
 import pytest
 
+from homogenize.fitting.report import random_loads
 from homogenize.laws.net import diagonal_net, ring_cell, ring_net
-from rve.common.tensor import WEIGHT, double_dot, dyad, eigenvalues, trace
+from rve.common.tensor import WEIGHT, double_dot, eigenvalues, trace
 
 LAWS = {"ring": ring_net(ring_cell(5.0, 0.5, 11.0, 12.646069623526)), "abstract": diagonal_net(1.0)}
-
-
-def random_loads(rng, n):
-    """Positive semidefinite triples of unit trace, every third of rank one."""
-    S, share = dyad(rng.normal(size=(n, 2))), rng.uniform(size=(n, 1)) * (np.arange(n) % 3 > 0)[:, None]
-    S = S + share * dyad(rng.normal(size=(n, 2)))
-    return S / trace(S)[:, None]
 
 
 @pytest.fixture(params=sorted(LAWS))
@@ -38,7 +32,7 @@ def test_support_is_the_maximum_over_states_of_the_net(law):
     F = np.swapaxes(ends, 1, 2) @ np.linalg.inv(law.directions.T)
     C = np.einsum("nki,nkj->nij", F, F)
     E = 0.5 * (C[:, [0, 0, 1], [0, 1, 1]] - [1.0, 0.0, 1.0])
-    S = random_loads(rng, 200)
+    S = random_loads(200)
     work = E @ (S * WEIGHT).T
     h = law.support(S)
     assert np.all(work.max(axis=0) <= h + 1e-12)
@@ -50,7 +44,7 @@ def test_cut_beats_every_sampled_half_space(law):
     rng = np.random.default_rng(2)
     E = rng.normal(scale=0.4, size=(300, 3))
     cut = law.cut(E)
-    S = random_loads(rng, 20000)
+    S = random_loads(20000)
     sampled = (E @ (S * WEIGHT).T - law.support(S)).max(axis=1)
     assert np.allclose(trace(cut.S), 1.0, atol=1e-12)
     assert eigenvalues(cut.S)[0].min() > -1e-12

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from homogenize.fitting.bounds import outer_law
+from homogenize.fitting.fit import fit
 from homogenize.fitting.report import error_report, held_out_misfit, is_sampled
 from homogenize.fitting.rows import normality
 from rve.common.tensor import from_disc
 
-from .conftest import disc_grid, rows_of
+from .conftest import disc_grid, rows_of, table_of
 
 
 def corners(count):
@@ -41,3 +42,6 @@ def test_held_out_error_is_that_of_laws_that_have_not_seen_the_row(ellipsoid):
     assert held_out_misfit(rows_of(ellipsoid, disc_grid(10, 40)), outer_law).mean < 0.4 * report.held_out.mean
     assert report.below == 0.0
     assert report.above < 1e-12
+    mixed = rows.S[np.random.default_rng(1).permutation(len(rows))]
+    one, other = (fit(table_of(S, ellipsoid.strain(S))).report for S in (rows.S, mixed))
+    assert one.held_out == other.held_out  # whatever the order of the rows

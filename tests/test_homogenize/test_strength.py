@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from homogenize import load_law
+from homogenize import interval_of_table, load_law, with_material
 from homogenize.cli import main
 from homogenize.fitting.fit import FitOptions, fit
 from homogenize.laws.giving import work_along
+from homogenize.query.answers import strength_answer
 from homogenize.strength import Strength, off_grid, read_strength, strength_of_table, tensile_part
 from rve import Material
 from rve.common.errors import InputError
@@ -106,18 +107,25 @@ def test_a_law_file_keeps_it(table, law, strength, tmp_path):
     law.save(tmp_path / "law.json")
     again = load_law(tmp_path / "law.json").strength
     one_side = replace(table, status=np.where(table.S[:, 0] > table.S[:, 2], "converged", "stalled"))
-    assert fit(one_side).law.strength.error is None  # a law, though its strength is not known
+    one = fit(one_side).law
+    assert one.strength.error is None  # a law, though its strength is not known
+    one.save(tmp_path / "one.json")
+    with pytest.raises(InputError, match=r"one\.json: strengths need loads on all sides"):
+        strength_answer(tmp_path / "one.json", S[0])
     assert again.utilisation(S) == pytest.approx(strength.utilisation(S), rel=1e-14)
     assert again.error == strength.error
     assert again.material == Material(yield_N_per_mm2=400.0, ultimate_N_per_mm2=500.0)
     butted = replace(table, provenance=table.provenance | {"joint": "butted:30"})
     assert read_strength(strength_of_table(butted).to_dict(), "law.json").joint == "butted:30"
     assert "butted:30 rings of steel" in strength_of_table(butted).text()
-    net = fit(table, FitOptions(kind="net")).law
-    net.save(tmp_path / "net.json")  # the strength is that of the table, whatever the kind of law
+    fit(table, FitOptions(kind="net")).save(tmp_path / "net.json")  # its strength is that of the table as well
     assert load_law(tmp_path / "net.json").strength.to_dict() == strength.to_dict()
     # the law's own stiffness is that of the rings, too
     assert strength.compliance_along(S) == pytest.approx(double_dot(S, (law.compliance @ S.T).T), rel=1e-6)
+    table.save(tmp_path / "table.csv")
+    found = interval_of_table(tmp_path / "table.csv")
+    assert found.law.compliance == pytest.approx(law.compliance, rel=1e-9)
+    assert with_material(found, {"young": 105e3}).outer.compliance == pytest.approx(2.0 * law.compliance, rel=1e-9)
 
 
 def test_the_command_prints_both_loads(law, tmp_path):

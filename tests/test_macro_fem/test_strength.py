@@ -285,7 +285,7 @@ def test_a_scene_may_say_what_the_rings_are_made_of():
     plain = solve(read_scene(tables))
     titanium = solve(read_scene(tables | {"material": {"material": "titanium grade 2"}}))
     one, other = plain.summary, titanium.summary
-    assert other["material"] == asdict(named_material("titanium grade 2"))
+    assert other["material"] == asdict(named_material("titanium grade 2")) == asdict(titanium.rings().cell.material)
     assert other["areal_mass_kg_per_m2"] / one["areal_mass_kg_per_m2"] == pytest.approx(4.51 / 7.85, rel=1e-12)
     assert titanium.status == "converged"
     ratio = 4.51 / 7.85 * 235.0 / 275.0

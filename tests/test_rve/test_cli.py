@@ -23,9 +23,8 @@ def test_table_and_loads(tmp_path):
     result = run("table", "--out", out, "--alpha", "-10:10:10", "--beta", "30,60")
     assert result.exit_code == 0, result.output
     frame = pd.read_csv(out)
-    assert frame[["alpha_deg", "beta_deg"]].to_numpy().tolist() == [
-        [a, b] for a in (-10.0, 0.0, 10.0) for b in (30.0, 60.0)
-    ]
+    angles = frame[["alpha_deg", "beta_deg"]].to_numpy().tolist()
+    assert angles == [[a, b] for a in (-10.0, 0.0, 10.0) for b in (30.0, 60.0)]
     assert "6 of 6 rows converged" in result.output
     loads = tmp_path / "loads.csv"
     loads.write_text("alpha_deg,beta_deg\n10,60\n")
