@@ -174,8 +174,10 @@ def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
 
 def _loads(scene: Scene) -> str:
     """The loads of a scene in words."""
-    winds = ((one.speed, "m/s") if one.speed is not None else (one.pressure, "N/m2") for one in scene.of(Wind))
-    loads = ["weight", *(f"bar of {one.mass:g} kg on {one.edge}" for one in scene.of(Bar))]
-    loads += [f"wind of {value:g} {unit}" for value, unit in winds]
+    loads = ["weight"] if any(scene.load.acceleration) else []
+    loads += [f"bar of {one.mass:g} kg on {one.edge}" for one in scene.of(Bar)]
+    for one in scene.of(Wind):
+        strength = f"{one.pressure:g} N/m2" if one.speed is None else f"{one.speed:g} m/s"
+        loads.append(f"wind of {strength} along {_vector(one.direction)}")
     loads += [f"{_vector(one.force)} N at {_vector(one.at)}" for _, one in spot_loads(scene)]
     return ", ".join([*loads, *(f"{_vector(one.force)} N/mm on {one.edge}" for one in scene.of(EdgeLoad))])

@@ -33,7 +33,7 @@ from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import disk_areas, weight_per_area, wind_per_area
 from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.sites import Sliding, sliding_nodes
+from macro_fem.scene.sites import Sliding, in_order, sliding_nodes
 from macro_fem.scene.supports import Supports, pin_sliding, straight_ties
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
 from macro_fem.solution import CurtainSolution
@@ -220,10 +220,6 @@ def _walls(walls: Walls, dual: DualMesh) -> Walls:
 
 def _bars(scene: Scene, dual: DualMesh) -> sparse.csc_matrix | None:
     """The straight bars' edges, kept on a line in the dual as they are in the primal problem."""
-    lines, X = [], dual.disc.nodes
-    for bar in scene.of(Bar):
-        if bar.straight:
-            nodes = dual.ends(dual.mesh.edge(bar.edge, "[load.bar] edge"))
-            along = X[nodes] @ np.ptp(X[nodes], axis=0)
-            lines.append(nodes[np.argsort(along, kind="stable")])
-    return straight_ties(lines, X) if lines else None
+    X, edges = dual.disc.nodes, [bar.edge for bar in scene.of(Bar) if bar.straight]
+    lines = [dual.ends(dual.mesh.edge(edge, "[load.bar] edge")) for edge in edges]
+    return straight_ties([nodes[in_order(X[nodes])] for nodes in lines], X) if lines else None

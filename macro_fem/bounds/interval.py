@@ -49,8 +49,8 @@ class CurtainBounds:
     """upper and lower: bounds of the potential of the continuous curtain, N mm; `status` of the dual solver.
 
     error (n_cells,): share of every triangle in upper - lower, N mm; `points`: the part of it that is due to supports
-    and loads at points and to the solvers' own gaps. law_part: how much of upper - lower the distance between inner and
-    outer law may make, N mm; None where both bounds are those of one law.
+    and loads at points, with the solvers' own gaps; 0 without any. law_part: how much of upper - lower the distance
+    between inner and outer law may make, N mm; None where both bounds are those of one law.
     """
 
     upper: float
@@ -122,7 +122,7 @@ def bound(solution: CurtainSolution, outer: MembraneLaw | None = None) -> Curtai
         upper=upper,
         lower=lower if result.converged else float("nan"),
         error=error + _near_points(dual, moment, points),
-        points=points,
+        points=points if len(dual.facet) or dual.load_cost.any() else 0.0,
         status=result.status,
         wall_s=time.perf_counter() - begin,
         law_part=None if loads is None else min(loads.law_part, upper - lower),

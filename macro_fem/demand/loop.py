@@ -96,6 +96,7 @@ class Demand:
             "rows": len(self.rings.rows),
             "largest_contradiction_of_rows": self.law.raised,
             "turns": [asdict(turn) for turn in self.turns],
+            "wall_s": self.turns[-1].wall_s,
         }
 
 

@@ -89,11 +89,13 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         if self.motion.start == "hung":
             hung = solve_problem(make_problem(scene_at(scene, 0.0), self.law, self.mesh))
             if hung.status != "converged":
-                raise NotConverged(f"{scene.source}: the curtain at rest at t = 0 is {hung.status}: {hung.message}")
+                words = f"{hung.status}: {hung.message} (load steps do not go with [motion]; start = 'reference' does)"
+                raise NotConverged(f"{scene.source}: the curtain at rest at t = 0 is {words}")
             x, P, S, cones, forces = hung.x, hung.P, hung.S, hung.cones, hung.reactions
         else:
             x = in_space_of(problem.disc.nodes, problem.fem.d)
-            away = np.where(problem.supports.mask, problem.supports.positions - x, 0.0)
+            held = self.at(self.near)[0].supports  # without those that let go at t = 0
+            away = np.where(held.mask, held.positions - x, 0.0)
             if np.abs(away).max(initial=0.0) > 1e-6 * self.size:
                 raise InputError(
                     f"{scene.source}: [motion] start = 'reference': supports hold points up to "

@@ -25,11 +25,11 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from macro_fem.answer import read_job
-from macro_fem.curtain import solve_scene
-from macro_fem.elastic_forces import forces_by, with_forces
+from macro_fem.elastic_forces import forces_by
 from macro_fem.fem.assembly import SparsityPattern, stiffness
 from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
 from macro_fem.fem.discretization import ELEMENTS
+from macro_fem.job import solve_membrane
 from macro_fem.motion.stage import TONNE, masses_of, mesh_masses, pushed_points, scene_at
 from macro_fem.output.pictures import Pictures
 from macro_fem.scene.supports import build_supports
@@ -244,7 +244,7 @@ def run_modes(
     """
     Pictures(picture, stem="modes").check(in_space=True)
     scene, law, inputs = read_job(scene_path, law_path, out, RECORD)
-    found = with_forces(solve_scene(scene if scene.motion is None else scene_at(scene, 0.0), law))
+    found = solve_membrane(scene_at(scene, 0.0), law).loaded
     modes, problem = find_modes(found, number), found.problem
     summary = {
         "frequencies_Hz": modes.frequencies_Hz.tolist(),

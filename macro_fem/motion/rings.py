@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
 HALVINGS = 6
 """How often a step that is not solved is taken in two halves."""
-JUST_AFTER = 1e-9
-"""Part of the duration after which supports count as those of the slack weave at the start."""
 NEAR = 1e-6
 """Rings within this part of r1 of where supports hold them are there."""
 KEPT = ("reaction", "wall_force", "kkt_residual")
@@ -102,7 +100,7 @@ class MovingRings(Mover[RingFrame, RingScene]):
 
         Supports that let go at t = 0 hold nothing then.
         """
-        asked, scene = self.at(JUST_AFTER * self.motion.duration), self.scene
+        asked, scene = self.at(self.near), self.scene
         where = f"{scene.source}: [motion] start = 'reference'"
         if asked.scene.in_space and not self.who.space:
             raise InputError(f"{scene.source}: {asked.scene.space_reason}: centres cannot stay there")

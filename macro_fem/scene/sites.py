@@ -15,7 +15,7 @@ import numpy as np
 
 from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import Discretization
-from macro_fem.scene.meshing.edges import Line, paths
+from macro_fem.scene.meshing.edges import UPRIGHT, Line, paths
 from macro_fem.scene.tables import NO_MOVE, Time, Timed
 from rve.common import Array, InputError
 
@@ -173,7 +173,17 @@ def edge_nodes(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -
     nodes = np.unique(mesh.mesh.facets[:, facets])
     if disc.element == "P2":  # corners come first, then the middles of facets
         nodes = np.concatenate([nodes, mesh.mesh.p.shape[1] + facets])
-    return nodes[np.lexsort((disc.nodes[nodes, 1], disc.nodes[nodes, 0]))]
+    return nodes[in_order(disc.nodes[nodes])]
+
+
+def in_order(X: Array) -> np.ndarray:
+    """The order (k,) of points X (k, 2) on a straight line, from its left end, or of an upright one from the lower.
+
+    >>> in_order(np.array([[1e-10, 0.0], [0.0, 1.0], [-2e-10, 2.0]])).tolist()
+    [0, 1, 2]
+    """
+    width, height = np.ptp(X, axis=0)
+    return np.lexsort(X.T if width < UPRIGHT * height else X.T[::-1])
 
 
 def point_node(at: tuple[float, float], disc: Discretization) -> np.ndarray:

@@ -79,7 +79,7 @@ def named_material(name: str, where: str = "material") -> Material:
     """
     if str(name) not in MATERIALS:
         known = ", ".join(MATERIALS)
-        raise InputError(f"{where} = {shown(name)}: known are {known}; or give density, young and poisson")
+        raise InputError(f"{where} = {shown(name)}: known are {known}; or give density and young")
     return MATERIALS[name]
 
 

@@ -316,6 +316,7 @@ def test_the_summary_tells_interval_parts_and_questions(known_rings, tmp_path):
     assert summary["ring_solves"] == len(known_rings)
     assert summary["cache_hits"] == 0
     assert summary["turns"][-1]["lower_N_mm"] == result.levels[-1].bounds.lower
+    assert summary["turns"][-1]["wall_s"] == summary["wall_s"]
     assert "rings" in summary["interval"]
     assert {row["feature"]: "rings on demand" in row["why"] for row in summary["features"]}["bounds"]
 

@@ -66,8 +66,9 @@ def test_rest_stays_rest_until_something_acts():
 
 @pytest.mark.parametrize("release", [0.0, 0.015])
 def test_a_sheet_let_go_falls_freely(release):
-    """Also from a release between steps: one of them ends there."""
-    _, told = moved({"support": TOP | {"release": release}, "motion": {"duration": release + 0.06, "step": 0.01}})
+    """Also from a release between steps, where one of them ends, or at once, which holds nothing."""
+    motion = {"duration": release + 0.06, "step": 0.01, "start": "hung" if release else "reference"}
+    _, told = moved({"support": TOP | {"gather": 0.95, "release": release}, "motion": motion})
     t, fallen = told["t_s"][-1] - release, told["mean_y_mm"][0] - told["mean_y_mm"][-1]
     start = 0.75 * (1.0 - 3.0**-6) * 0.01**2 * G  # what Euler's first step goes too far
     assert fallen - start == pytest.approx(0.5 * G * t * t, rel=1e-8)
@@ -202,8 +203,10 @@ def test_a_run_writes_its_files_and_goes_on_as_if_it_had_not_ended(tmp_path):
     assert (again.exit_code, "longer duration" in again.output) == (2, True)
     kept = tmp_path / "two" / "motion.npz"
     data = kept.read_bytes()
-    for broken in (b"", b"PK", data[:500], data[: len(data) // 2], data[:200] + bytes(400) + data[600:], data + b"0"):
+    pieces = b"", b"PK", data[:500], data[: len(data) // 2], data[:200] + bytes(400) + data[600:], data + b"0"
+    for broken, sums in (*((piece, summary["files"]) for piece in pieces), (data, None)):
         kept.write_bytes(broken)
+        kept.with_name("summary.json").write_text(json.dumps({"files": sums}))
         again = CliRunner().invoke(main, ["run", str(whole), "--out", str(tmp_path / "two"), "--continue"])
         assert (again.exit_code, "is not what a run has kept" in again.output) == (2, True)
 

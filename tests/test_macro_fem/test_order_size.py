@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 import macro_fem
 from homogenize import fit
-from macro_fem import Bar, Combination, Corners, EdgeLoad, Hooks, Mesh, Outline, Rectangle, Scene, Wind, solve
+from macro_fem import Bar, Combination, Corners, EdgeLoad, Hooks, Load, Mesh, Outline, Rectangle, Scene, Wind, solve
 from macro_fem.cli import main
 from macro_fem.output import weakest
 from macro_fem.report import _loads, _sections, write_report
@@ -202,7 +202,9 @@ def test_the_report_is_two_pages_or_more_where_tables_are_long(tmp_path):
     assert (tmp_path / "flat.dxf").exists()
     summary = json.loads((tmp_path / "o" / "summary.json").read_text())
     assert pd.read_csv(tmp_path / "o" / "order.csv").to_dict("records") == [pytest.approx(summary["order"])]
-    assert _loads(hung(EdgeLoad("left", (0.5, 0.0)))) == "weight, bar of 2 kg on bottom, (0.5, 0) N/mm on left"
+    loads = "bar of 2 kg on bottom, wind of 8 m/s along (0, 0, 1), (0.5, 0) N/mm on left"
+    blown = hung(EdgeLoad("left", (0.5, 0.0)), Wind((0.0, 0.0, 1.0), speed=8.0))
+    assert [_loads(one) for one in (blown, replace(blown, load=Load(gravity=0.0)))] == [f"weight, {loads}", loads]
     heads = [head for head, *_ in _sections(summary, []) if head.startswith(("What gives", "Forces of supports"))]
     assert ["without partial factors" in head for head in heads] == [True, True]
     write_report(tmp_path / "long.pdf", solve(hung()).loaded, summary | {"combinations": 90 * summary["combinations"]})

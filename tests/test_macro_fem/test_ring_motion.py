@@ -45,7 +45,7 @@ def moved(tables, *, space=True):
     return found, dict(zip(COLUMNS, rows.T, strict=True))
 
 
-@pytest.mark.parametrize("support", [FREE["support"], []])
+@pytest.mark.parametrize("support", [FREE["support"] | {"gather": 0.9}, []])
 def test_a_sheet_without_supports_falls_freely(support):
     found, told = moved({"support": support, "motion": {"duration": 0.06, "step": 0.01, "start": "reference"}})
     t, fallen = told["t_s"][-1], told["mean_y_mm"][0] - told["mean_y_mm"][-1]

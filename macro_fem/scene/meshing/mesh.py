@@ -30,6 +30,9 @@ MAX_TRIANGLES = 4_000_000
 """More cells than this are refused before their arrays are made: some four million unknowns, 20 GB in a solver."""
 MAX_LATTICE = 8_000_000
 """Lattice points in the box, turned with the weave, around the outline: 0.5 GB while they are chosen from."""
+TIES = 1e-6
+"""By how much of their distance from the middle points of square cells move before Delaunay's rule, which leaves their
+diagonals open: mirror images get one answer, on every processor."""
 CLEARANCE = 0.55
 """Least distance of a lattice point to the boundary in units of the spacing: keeps boundary triangles from slivers."""
 
@@ -203,7 +206,9 @@ def mesh_outline(
     inner = inner[shapely.contains_xy(region, inner)]
     inner = inner[~shapely.dwithin(sides, shapely.points(inner), CLEARANCE * spacing)]
     points = np.concatenate([*border, inner])
-    triangles = Delaunay(points).simplices
+    away = points - 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+    tied = TIES * away * ((away / np.abs(away).max()) ** 2 @ [[1.0], [2.0]]) if aspect == 1.0 else 0.0
+    triangles = Delaunay(points + tied).simplices
     triangles = triangles[shapely.contains_xy(region, points[triangles].mean(axis=1))]
     triangles = counterclockwise(points, triangles)
     triangles = triangles[triangle_areas(points[triangles]) > 0.5e-6 * spacing**2]
