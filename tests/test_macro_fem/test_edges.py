@@ -88,6 +88,8 @@ def turned(points, degrees):
 
 
 BOX = [[0, 0], [100, 0], [100, 80], [0, 80]]
+STEP = [[0, 0], [100, 0], [100, 40], [50, 40], [50, 80], [0, 80]]
+HEM = [[0, 40], [100, 0], [100, 80], [0, 80]]
 HEIGHTS = np.linspace(0.0, 80.0, 21)
 WAVE = np.column_stack([100.0 + 1.5 * np.sin(0.3 * HEIGHTS), HEIGHTS])
 HIP = {"top": 60.0, "bottom": 100.0, "left": 60.0, "right": 60.0}
@@ -95,18 +97,12 @@ OUTLINES = {
     "box": (BOX, {"top": 100.0, "bottom": 100.0, "left": 80.0, "right": 80.0}),
     "turned left": (turned(BOX, 20.0), {"top": 100.0, "bottom": 100.0, "left": 80.0, "right": 80.0}),
     "turned right": (turned(BOX, -20.0), {"top": 100.0, "bottom": 100.0, "left": 80.0, "right": 80.0}),
-    "step": (
-        [[0, 0], [100, 0], [100, 40], [50, 40], [50, 80], [0, 80]],
-        {"top": 50.0, "bottom": 100.0, "left": 80.0, "right": 40.0},
-    ),
+    "step": (STEP, {"top": 50.0, "bottom": 100.0, "left": 80.0, "right": 40.0}),
     "diamond": ([[50, 0], [100, 50], [50, 100], [0, 50]], {"top": 200.0 * 0.5**0.5, "bottom": 200.0 * 0.5**0.5}),
     "chamfers": ([[0, 0], [100, 0], [100, 60], [80, 80], [20, 80], [0, 60]], HIP),
     "hips": ([[0, 0], [100, 0], [100, 60], [80, 78], [20, 78], [0, 60]], HIP),
     "spire": ([[0, 0], [100, 0], [50, 173.2]], {"bottom": 100.0, "top": 2.0 * np.hypot(50.0, 173.2)}),
-    "sloping hem": (
-        [[0, 40], [100, 0], [100, 80], [0, 80]],
-        {"top": 100.0, "bottom": np.hypot(100, 40), "left": 40, "right": 80},
-    ),
+    "sloping hem": (HEM, {"top": 100.0, "bottom": np.hypot(100, 40), "left": 40, "right": 80}),
     "wavy side": ([[0, 0], *WAVE, [0, 80]], {"top": WAVE[-1, 0], "bottom": 100.0, "left": 80.0, "right": arc(WAVE)}),
 }
 

@@ -112,7 +112,7 @@ def _check_sides(mesh: Any) -> None:
 def read_outline(path: Path) -> dict[str, Any]:
     """Keys `outline` and `holes` of a shape from the closed polylines of a DXF file in mm: the largest is the outline.
 
-    InputError without ezdxf, for no such file, one in another unit, without closed polylines, or with arcs in one.
+    InputError without ezdxf, for no such file, one in another unit, without closed polylines, and with round curves.
     """
     require("ezdxf", "cad", "a DXF outline", "give its corners as outline")
     import ezdxf.units
@@ -120,15 +120,22 @@ def read_outline(path: Path) -> dict[str, Any]:
     try:
         drawing = ezdxf.readfile(path)
         lines: list[Any] = [*drawing.modelspace().query("LWPOLYLINE POLYLINE")]
+        is_round = bool(drawing.modelspace().query("CIRCLE ELLIPSE SPLINE"))
     except Exception as error:  # ezdxf raises whatever damaged data leads to
         what = str(error).split("\n")[0] or "it is damaged or cut off"
         raise InputError(f"{path}: cannot be read as DXF: {what}") from error
     if drawing.units not in (0, ezdxf.units.MM):
         raise InputError(f"{path}: states the unit {ezdxf.units.unit_name(drawing.units).lower()}, it must be mm")
-    closed = [line for line in lines if (line.closed if line.dxftype() == "LWPOLYLINE" else line.is_closed)]
-    if not closed or any(line.has_arc for line in closed):
-        raise InputError(f"{path}: needs closed polylines (LWPOLYLINE or POLYLINE) of straight sides, no arcs")
-    rings = ([(float(x), float(y)) for x, y, *_ in line.vertices_in_wcs()] for line in closed)
+    rings = []
+    for line in lines:
+        ring = [(float(x), float(y)) for x, y, *_ in line.vertices_in_wcs()]
+        is_back = len(ring) > 3 and ring[-1] == ring[0]  # closed by its corners
+        if is_back or (line.closed if line.dxftype() == "LWPOLYLINE" else line.is_closed):
+            rings.append(ring[:-1] if is_back else ring)
+            is_round |= line.has_arc
+    if not rings or is_round:
+        what = "of straight sides, no arcs, circles, ellipses and splines"
+        raise InputError(f"{path}: needs closed polylines (LWPOLYLINE or POLYLINE) {what}")
     outline, *holes = sorted(rings, key=lambda ring: -abs(signed_areas(np.array(ring))))
     return {"outline": outline, "holes": holes}
 
