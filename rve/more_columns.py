@@ -40,8 +40,7 @@ def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOption
     rings give; at s N/mm the bend is to be divided by s; where the strain is not unique, with its free part held.
     strength: see `StrainTable`. Where several states coexist the compliance is their mean by shares, the strength that
     of the one that yields, or collapses, first. Rows that have not converged have nan in both, and so have those of a
-    table that was read from a file whose state is not that from the slack pose. InputError for a cell other than the
-    table's. Docs: theory.md, 7.
+    table from a file whose state is not that from the slack pose. InputError for another cell. Docs: theory.md, 7.
 
     >>> from rve.solve import solve_table
     >>> found = with_rings(solve_table(Cell(), ([0.0], [90.0])), Cell())
@@ -49,7 +48,8 @@ def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOption
     array([[123.2,  59.4]])
     """
     known, material, joint = table.provenance, cell.material, Joint.of(options.joint)
-    for key, value in {"weave": cell.weave.name, "grain": cell.grain, "r1_mm": cell.r1, "r2_mm": cell.r2}.items():
+    mine = {"weave": cell.weave.name, "grain": cell.grain, "r1_mm": cell.r1, "r2_mm": cell.r2}
+    for key, value in (mine | {"density_kg_per_mm3": cell.density}).items():
         if known.get(key, value) != value:
             raise InputError(f"{key} = {value} of the cell: the table has {known[key]}; give the table's cell")
     states, is_known = table.states, table.converged

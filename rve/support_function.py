@@ -110,11 +110,11 @@ def support(
     """
     if not isinstance(cell, Cell):
         raise InputError("support takes a Cell and loads: support(Cell(r1=5, r2=0.5), [S11, S12, S22])")
-    mine = (cell.weave.name, cell.cells, cell.centres)
-    if known is not None and (known.weave.name, known.weave.repeat, known.weave.centres) != mine:
-        raise InputError("known: is the answer of another weave or of a cell of another size; give one for this cell")
     options, S = options or DirectOptions(), checked_loads(S)
-    sides_mm = reference_sides(cell, options)
+    mine, sides_mm = (cell.weave.name, cell.cells, cell.centres), reference_sides(cell, options)
+    theirs = None if known is None else (known.weave.name, known.weave.repeat, known.weave.centres)
+    if known is not None and (theirs != mine or not np.allclose(known.sides_mm, sides_mm, rtol=1e-6)):
+        raise InputError("known: is the answer of another weave, other rings or another size; give one for this cell")
     loads = (S / trace(S)[:, None])[:, weave_axes(cell)]
     states = None if known is None else known.states
     for weave in (cell.weave, widened(cell.weave)):

@@ -48,7 +48,7 @@ def test_rings_are_those_of_a_table_from_a_file(table, tmp_path):
     assert np.array_equal(read.strength, rings.strength, equal_nan=True)
 
 
-@pytest.mark.parametrize("cell", [Cell(10.0, 1.0), Cell(grain="x")])
+@pytest.mark.parametrize("cell", [Cell(10.0, 1.0), Cell(grain="x"), Cell(material="titanium grade 2")])
 def test_rings_of_another_cell_are_refused(table, cell):
     with pytest.raises(InputError, match="give the table's cell"):
         with_rings(table, cell)

@@ -223,16 +223,16 @@ def test_random_starts_are_admissible_and_far_apart(ratio, weave):
 
 def test_free_strains_are_flagged():
     """The load of rank one along the straight chain |x2 + x3| = 4 (r1 - r2): h is known, the strain is not."""
-    chain = 4.0 * (5.0 - 0.5)
     b_x, b_y = reference_sides(Cell(), DirectOptions())
     # Along a1 + a2 = F (b_x, b_y), the work is (|a1 + a2|^2 - b_x^2 - b_y^2) / 2 for S = v v^T, v = (b_x, b_y).
     v = np.array([b_x, b_y])
     found = support(Cell(), [v[0] ** 2, v[0] * v[1], v[1] ** 2], FIRST)
     assert found.status[0] == "converged"
     assert not found.unique[0]
-    assert found.h[0] == pytest.approx(0.5 * (chain**2 - v @ v), abs=1e-7)
-    with pytest.raises(InputError, match="a cell of another size"):
-        support(Cell(cells=(2, 1)), [1.0, 0.0, 0.0], known=found)
+    assert found.h[0] == pytest.approx(0.5 * ((4.0 * (5.0 - 0.5)) ** 2 - v @ v), abs=1e-7)
+    for other in (Cell(cells=(2, 1)), Cell(r2=0.6)):
+        with pytest.raises(InputError, match="other rings or another size"):
+            support(other, [1.0, 0.0, 0.0], known=found)
 
 
 def test_a_locked_pose_is_opened_a_little():
