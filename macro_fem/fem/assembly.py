@@ -16,7 +16,7 @@ Example:
     True
     >>> pattern = SparsityPattern.of(disc, d=2, free=np.repeat(disc.nodes[:, 0] > 0.0, 2))
     >>> A = np.broadcast_to(np.eye(4).reshape(2, 2, 2, 2), (disc.n_points, 2, 2, 2, 2))
-    >>> pattern.full(stiffness(disc, pattern, A)).shape
+    >>> stiffness(disc, pattern, A).shape
     (24, 24)
 """
 
@@ -36,27 +36,22 @@ from rve.common import Array
 
 @dataclass(frozen=True, eq=False)
 class SparsityPattern:
-    """Where the entries of symmetric matrices on n free unknowns go: their lower triangle, by columns.
+    """Where the entries of symmetric matrices on n free unknowns go; d: components per node.
 
-    number (n_nodes * d,): the free unknown of each flat number, -1 where it is held; d: components per node.
-    keys (nnz,): column times n plus row of each stored entry, ascending.
-    slot (n_entries, n_cells): place in the data of each packed entry of a cell, nnz for "held" and "left out". Packed
+    keys (nnz,): column times n plus row of each entry of the lower triangle, ascending.
+    slot (n_entries, n_cells): place among these of each packed entry of a cell, nnz for "held" and "left out". Packed
     are the blocks (i, k), i >= k, of components in the order of `component_pairs`, each with all pairs of nodes; of a
     block with i = k one half is left out.
     """
 
-    number: Index
     d: int
     n: int
     keys: Index
     slot: Index
 
     @classmethod
-    def of(cls, disc: Discretization, d: int, free: NDArray[Any], loose: int = 0) -> SparsityPattern:
-        """The pattern of stiffness matrices on the components marked by `free` (n_nodes, d) or flat.
-
-        The last `loose` nodes belong to no cell and are coupled with all others.
-        """
+    def of(cls, disc: Discretization, d: int, free: NDArray[Any]) -> SparsityPattern:
+        """The pattern of stiffness matrices on the components marked by `free` (n_nodes, d) or flat."""
         free, nodes = np.ravel(free), disc.cell_dofs.T
         number, n = np.where(free, np.cumsum(free) - 1, -1), int(free.sum())
         nowhere, keys = n * n, []
@@ -65,41 +60,20 @@ class SparsityPattern:
             low, high = np.minimum(i, j), np.maximum(i, j)
             is_out = (low < 0) | ((k == l) & (i < j))
             keys.append(np.where(is_out, nowhere, low * n + high).ravel())
-        last = number[len(number) - d * loose :]
-        low, high = np.minimum.outer(number, last), np.maximum.outer(number, last)
-        keys.append((low * n + high)[low >= 0])
         found, slot = np.unique(np.concatenate([*keys, [nowhere]]), return_inverse=True)
-        cells = slot[: len(keys[0]) * len(component_pairs(d))].reshape(-1, disc.n_cells)
-        return cls(number, d, n, found[:-1], cells)
+        return cls(d, n, found[:-1], slot[:-1].reshape(-1, disc.n_cells))
 
-    @property
-    def nnz(self) -> int:
-        """Stored entries of the lower triangle."""
-        return len(self.keys)
-
-    def scatter(self, packed: Array) -> Array:
-        """Data (nnz,) of the lower triangle from the packed entries (n_entries, n_cells) of all cells."""
-        summed = np.bincount(self.slot.ravel(), weights=packed.ravel(), minlength=self.nnz + 1)
-        return np.asarray(summed[: self.nnz], dtype=np.float64)
-
-    def place(self, row: Index, column: Index) -> Index:
-        """Places in the data of entries (...) by their flat numbers: -1 above the diagonal and where one is held.
-
-        The others must be entries of the pattern.
-        """
-        i, j = self.number[row], self.number[column]
-        return np.where((j >= 0) & (i >= j), np.searchsorted(self.keys, j * self.n + i), -1)
-
-    def full(self, data: Array) -> sparse.csc_matrix:
-        """Both triangles as a sparse matrix (what SuperLU and conjugate gradients read)."""
+    def matrix(self, packed: Array) -> sparse.csc_matrix:
+        """The matrix (n, n), both triangles, of the packed entries (n_entries, n_cells) of all cells."""
+        summed = np.bincount(self.slot.ravel(), weights=packed.ravel(), minlength=len(self.keys) + 1)
         numbered, source = self._mirror
-        return sparse.csc_matrix((data[source], numbered.indices, numbered.indptr), shape=(self.n, self.n))
+        return sparse.csc_matrix((summed[source], numbered.indices, numbered.indptr), shape=(self.n, self.n))
 
     @cached_property
     def _mirror(self) -> tuple[sparse.csc_matrix, Index]:
         """A matrix of both triangles, and the place in the data of the lower one of each of its entries."""
         column, row = np.divmod(self.keys, self.n)
-        lower = sparse.csc_matrix((np.arange(1.0, self.nnz + 1.0), (row, column)), shape=(self.n, self.n))
+        lower = sparse.csc_matrix((np.arange(1.0, len(self.keys) + 1.0), (row, column)), shape=(self.n, self.n))
         both = (lower + sparse.tril(lower, -1).T).tocsc()
         both.sort_indices()
         return both, both.data.astype(np.int64) - 1
@@ -135,8 +109,8 @@ def load_vector(disc: Discretization, q: Array) -> Array:
     return _sum_to_nodes(disc, np.matmul(disc.shape_values.T, local))
 
 
-def stiffness(disc: Discretization, pattern: SparsityPattern, A: Array) -> Array:
-    """Data (nnz,) of the lower triangle of K = sum_p w_p dphi_a/dx_j A_pijkl dphi_b/dx_l.
+def stiffness(disc: Discretization, pattern: SparsityPattern, A: Array) -> sparse.csc_matrix:
+    """K = sum_p w_p dphi_a/dx_j A_pijkl dphi_b/dx_l (n, n).
 
     A (n_points, d, 2, d, 2) is d2psi/dF2 with its major symmetry; only the blocks A[:, i, :, k, :], i >= k, are read.
     """
@@ -148,7 +122,7 @@ def stiffness(disc: Discretization, pattern: SparsityPattern, A: Array) -> Array
         half = (iJ[:, 0, None] * own[0] + iJ[:, 1, None] * own[1]) * w  # J, l, q, cell
         pulled = half[:, None, 0] * iJ[:, 0] + half[:, None, 1] * iJ[:, 1]  # J, N, q, cell
         np.matmul(products, np.moveaxis(pulled, 2, 0).reshape(-1, disc.n_cells), out=block)
-    return pattern.scatter(packed)
+    return pattern.matrix(packed)
 
 
 def _sum_to_nodes(disc: Discretization, local: Array) -> Array:

@@ -25,7 +25,7 @@ SHIFTS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9)
 
 @dataclass(frozen=True, eq=False)
 class SupportedFem:
-    """A discretisation whose nodes (n_nodes, d) are at x_held + T z; the last `loose` ones belong to no cell.
+    """A discretisation whose nodes (n_nodes, d) are at x_held + T z.
 
     free (n_nodes * d,) marks components that are unknowns themselves; `tie` (n_nodes * d, n_z) is None without ties.
     """
@@ -34,7 +34,6 @@ class SupportedFem:
     x_held: Array
     free: np.ndarray
     tie: sparse.csc_matrix | None = None
-    loose: int = 0
 
     @cached_property
     def T(self) -> sparse.csc_matrix:
@@ -76,7 +75,7 @@ class SupportedFem:
     def pattern(self) -> SparsityPattern:
         """Where matrix entries go: on the free unknowns, or on all of them if ties must be applied afterwards."""
         free = self.free if self.tie is None else np.ones_like(self.free)
-        return SparsityPattern.of(self.disc, self.d, free, self.loose)
+        return SparsityPattern.of(self.disc, self.d, free)
 
     def positions(self, z: Array) -> Array:
         """x (n_nodes, d)."""
@@ -109,18 +108,19 @@ class SupportedFem:
         """T dz as nodal vectors (n_nodes, d)."""
         return (self.T @ dz).reshape(self.x_held.shape)
 
-    def factorize(self, tangent: Array, added: Array | None = None) -> Callable[[Array], Array]:
-        """A solver of B^T (w A) B x = b for tangents A (nq, d, 2, d, 2), with data `added` (nnz,) of the lower triangle
-        of `pattern`, such as that of walls; ArithmeticError if there is none.
+    def factorize(self, tangent: Array, added: sparse.csc_matrix | None = None) -> Callable[[Array], Array]:
+        """A solver of B^T (w A) B x = b for tangents A (nq, d, 2, d, 2), its matrix and `added` (n, n), such as that of
+        walls, in sum; ArithmeticError if there is none.
 
         Stiffnesses of taut and slack places may differ by 16 orders. If a pivot is lost to rounding a multiple of the
         diagonal is added; two rounds of refinement with the true matrix remove most of its effect.
         """
-        data = stiffness(self.disc, self.pattern, tangent)
-        matrix = self.pattern.full(data if added is None else data + added)
+        matrix = stiffness(self.disc, self.pattern, tangent)
         if self.tie is not None:
             matrix = (self.tie.T @ matrix @ self.tie).tocsc()
-            matrix.sort_indices()
+        if added is not None:
+            matrix = matrix + added
+        matrix.sort_indices()
         if not np.isfinite(matrix.data.sum()):
             raise ArithmeticError("the matrix holds an entry that is not finite")
         if not matrix.shape[0]:
@@ -142,8 +142,8 @@ class SupportedFem:
 
 
 def with_loose_nodes(fem: SupportedFem, count: int) -> SupportedFem:
-    """The discretisation with `count` free nodes more, the centres of bodies with mass: numbered last and coupled with
-    all others; x_held is 0 there.
+    """The discretisation with `count` free nodes more, the centres of bodies with mass: numbered last, in no
+    cell; x_held is 0 there.
     """
     if not count:
         return fem
@@ -155,7 +155,6 @@ def with_loose_nodes(fem: SupportedFem, count: int) -> SupportedFem:
         x_held=np.vstack([fem.x_held, np.zeros((count, d))]),
         free=np.concatenate([fem.free, np.ones(d * count, bool)]),
         tie=None if fem.tie is None else sparse.csc_matrix(sparse.block_diag([fem.tie, sparse.eye(d * count)])),
-        loose=fem.loose + count,
     )
 
 

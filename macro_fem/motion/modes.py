@@ -204,7 +204,7 @@ def _of_one_component(solution: CurtainSolution) -> tuple[sparse.spmatrix, ...]:
         along = mass.assemble(skfem.FacetBasis(problem.mesh.mesh, element, facets=facets))
         along = TONNE * bar.mass / along.sum() * along
         M, lumped = M + along, lumped + (along if bar.straight else sparse.diags(along @ np.ones(len(own))))
-    return pattern.full(stiffness(disc, pattern, A)), M, lumped
+    return stiffness(disc, pattern, A), M, lumped
 
 
 def _carries(solution: CurtainSolution) -> np.ndarray:

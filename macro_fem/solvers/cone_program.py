@@ -22,7 +22,7 @@ state: the certificate. F is d x 2, d = 2 or 3.
 
 Half-spaces on places of the curtain, s = A z + b0 >= 0 (`walls`), are further cones of dimension one with dual
 variables u and areas v: they add A^T (v u) to the balance of forces, -sum v u b0 to the dual value and A^T (v u / s) A
-to Newton's matrix, whose pattern stays: all nodes of a row are those of one cell.
+to Newton's matrix.
 
 A step of motion adds (x - x_hat).W (x - x_hat) / 2 over the nodes to what is minimised (`Inertia`).
 """
@@ -33,6 +33,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import sparse
 
 from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
@@ -114,10 +115,11 @@ class Program:
         """Sum of the areas of all cones, mm2."""
         return float(self.w.sum()) + float(self.rows.v.sum())
 
-    def added(self, weight: Array) -> Array:
-        """Data of the lower triangle that half-spaces on nodes of these weights (m,) and inertia add to the matrix."""
-        data = self.rows.added(weight)
-        return data if self.inertia is None else data + self.inertia.data
+    def added(self, weight: Array) -> sparse.csc_matrix | None:
+        """What half-spaces on points, of these weights (m,), and inertia add to Newton's matrix (n, n), if any."""
+        parts = [self.rows.added(weight)] if len(weight) else []
+        parts += [] if self.inertia is None else [self.inertia.matrix]
+        return sum(parts) if parts else None
 
     @property
     def lead(self) -> int:

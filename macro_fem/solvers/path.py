@@ -77,14 +77,11 @@ class Inertia:
         return 0.5 * float((away * times(self.W, away)).sum())
 
     @cached_property
-    def data(self) -> Array:
-        """T^T W T as data of the lower triangle of `fem.pattern`: its part of Newton's matrix."""
+    def matrix(self) -> sparse.csc_matrix:
+        """T^T W T (n, n): its part of Newton's matrix."""
         n, d = self.x_hat.shape
-        flat = np.arange(n * d).reshape(n, d)
-        place = self.fem.pattern.place(*np.broadcast_arrays(flat[:, :, None], flat[:, None, :]))
-        is_stored = place >= 0
-        data = np.bincount(place[is_stored], self.W[is_stored], minlength=self.fem.pattern.nnz)
-        return np.asarray(data, dtype=np.float64)
+        whole = sparse.bsr_matrix((self.W, np.arange(n), np.arange(n + 1)), shape=(n * d, n * d))
+        return sparse.csc_matrix(self.fem.T.T @ whole @ self.fem.T)
 
     def deficit(self, r: Array) -> float:
         """r.(T^T W T)^-1 r / 2, N mm: what unbalanced forces r (n,) can gain."""
@@ -92,9 +89,7 @@ class Inertia:
 
     @cached_property
     def _factor(self) -> Any:
-        n, d = self.x_hat.shape
-        whole = sparse.bsr_matrix((self.W, np.arange(n), np.arange(n + 1)), shape=(n * d, n * d))
-        return sparse.linalg.splu(sparse.csc_matrix(self.fem.T.T @ whole @ self.fem.T))
+        return sparse.linalg.splu(self.matrix)
 
 
 def times(W: Array, v: Array) -> Array:

@@ -123,21 +123,9 @@ class WallRows:
         out[self.is_row] = self.v * u / self.size
         return out
 
-    def added(self, weight: Array) -> Array:
-        """A^T (v weight) A as data of the lower triangle of `fem.pattern`."""
-        place, row, value = self._products
-        scaled = self.v * weight / self.size**2
-        return np.asarray(np.bincount(place, value * scaled[row], minlength=self.fem.pattern.nnz), dtype=np.float64)
-
-    @cached_property
-    def _products(self) -> tuple[np.ndarray, np.ndarray, Array]:
-        """Place in the lower triangle, row and value (k,) of the products of any two entries of every row."""
-        whole, each = self.rows.matrix(self.fem.disc.n_nodes), self.rows.at.node.shape[1] * self.fem.d
-        component, entry = whole.indices.reshape(-1, each), whole.data.reshape(-1, each)
-        row, a, b = np.nonzero(entry[:, :, None] * entry[:, None, :])
-        place = self.fem.pattern.place(component[row, a], component[row, b])
-        is_stored = place >= 0
-        return place[is_stored], row[is_stored], (entry[row, a] * entry[row, b])[is_stored]
+    def added(self, weight: Array) -> sparse.csc_matrix:
+        """A^T (v weight) A (n, n): what the rows of these weights (m,) add to Newton's matrix."""
+        return (self.A.T @ self.A.multiply((self.v * weight)[:, None])).tocsc()
 
 
 def longest(s: Array, ds: Array) -> float:

@@ -179,7 +179,7 @@ def test_matrix_of_loose_nodes_is_that_of_dense_algebra(is_tied):
     inertia = Inertia(loose, W, rng.normal(size=(n + 2, 3)))
     weight = rng.uniform(0.1, 1.0, m)
     tangent = np.tile(np.eye(6).reshape(3, 2, 3, 2), (len(loose.disc.weight), 1, 1, 1, 1))
-    solve = loose.factorize(tangent, rows.added(weight) + inertia.data)
+    solve = loose.factorize(tangent, rows.added(weight) + inertia.matrix)
     A = np.stack([rows.slack(e) - rows.slack(0.0 * e) for e in np.eye(loose.n)], axis=1)
     B = np.stack([loose.gradient_change(e).ravel() for e in np.eye(loose.n)], axis=1)
     K = B.T @ (np.repeat(loose.disc.weight, 6)[:, None] * B) + A.T @ ((rows.v * weight)[:, None] * A)
