@@ -62,7 +62,8 @@ def plot_surface(law: MembraneLaw, rows: LockedRows) -> Any:
     E, gap, scale = surface_with_gap(law, rows)
     shades = scale.colour_map()(scale.norm()(np.clip(gap, scale.low, scale.top)), alpha=0.75)
     ax.plot_surface(*np.moveaxis(E, -1, 0), facecolors=shades, linewidth=0, rcount=71, ccount=71, shade=False)
-    ax.plot(*with_mirror(rows).E.T, ".", color="black", ms=4, label="rows of the table and their mirror images")
+    named = f"rows of the table{' and their mirror images' if rows.is_mirrored else ''}"
+    ax.plot(*with_mirror(rows).E.T, ".", color="black", ms=4, label=named)
     scale.add_bar(ax, shrink=0.7, pad=0.02)
     ax.legend(loc="upper left", fontsize=10)
     title = f"Locking surface of the {law.name} law and {len(rows)} rows"

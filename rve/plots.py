@@ -96,8 +96,8 @@ def draw_case(table: StrainTable) -> Axes:
     note = "" if states.unique[0] else " (strain not unique: limit shown)"
     title = f"locked cell, alpha = {table.alpha_deg[0]:g} deg, beta = {table.beta_deg[0]:g} deg{note}"
     ax.set_title(f"{title}\nr1 = {r1:g} mm, r2 = {cell.r2:g} mm", fontsize=12)
-    below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "ncols": 2, "frameon": False}
-    ax.legend(fontsize=10, title="forces in N at a line load of 1 N/mm", title_fontsize=10, **below)
+    below: dict[str, Any] = {"loc": "outside lower center", "ncols": 2, "frameon": False}
+    ax.figure.legend(fontsize=10, title="forces in N at a line load of 1 N/mm", title_fontsize=10, **below)
     return ax
 
 
