@@ -11,7 +11,16 @@ import numpy as np
 
 from macro_fem.output import strength
 from macro_fem.output.forces import FORCES
-from macro_fem.output.space_view import LONGEST, Titled, draw_curtain, drawn, line_load_scale, save_panels, title
+from macro_fem.output.space_view import (
+    LONGEST,
+    Titled,
+    draw_curtain,
+    drawn,
+    largest_of,
+    line_load_scale,
+    save_panels,
+    title,
+)
 from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError, check_out_file, digits, require
@@ -92,28 +101,30 @@ def figures(steps: Titled) -> Iterator[Figure]:
         for words, plotter in drawn(steps):
             yield space.compose(plotter, words)
         return
-    scale = line_load_scale(solutions)
+    scale, largest = line_load_scale(solutions), largest_of(solutions)
     points = np.concatenate([*(one.x for one in solutions), solutions[0].problem.disc.nodes])
     low, high = points.min(axis=0), points.max(axis=0)
     room = 0.04 * float((high - low).max())
     for words, solution in steps:
         figure = new_figure(7.0, 6.2)
-        ax = plot_line_loads(solution, figure.subplots(), scale=scale)
+        ax = plot_line_loads(solution, figure.subplots(), scale, largest)
         ax.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
         ax.set_title(words, fontsize=11)
         yield figure
 
 
-def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None, *, scale: Scale | None = None) -> Axes:
+def plot_line_loads(
+    solution: CurtainSolution, ax: Axes | None = None, scale: Scale | None = None, largest: tuple[float, ...] = ()
+) -> Axes:
     """The deformed curtain coloured by its largest principal line load, with principal directions and supports.
 
-    scale: the colours of a series of pictures; by default those of this solution.
+    scale, largest: colours and largest forces of a series of pictures; by default those of this solution.
     """
     values, direction = solution.principal()
     scale = line_load_scale([solution]) if scale is None else scale
     ax = _plot_field(solution, values[:, 0], scale, ax)
     _directions(solution, (values, direction), scale, ax)
-    _loads(solution, ax)
+    _loads(solution, ax, largest or largest_of([solution]))
     _legend(ax)
     ax.set_title(title(solution).replace(", ", ",\n", 1), fontsize=11)
     return ax
@@ -145,9 +156,11 @@ def panels(solution: CurtainSolution) -> Figure:
 
 def side_by_side(steps: Titled) -> Figure:
     """Line loads of several solutions on one scale."""
-    scale, figure = line_load_scale([one for _, one in steps]), new_figure(5.2 * len(steps), 6.0)
-    for ax, (words, solution) in zip(figure.subplots(1, len(steps), squeeze=False)[0], steps, strict=True):
-        plot_line_loads(solution, ax, scale=scale).set_title(words, fontsize=11)
+    solutions, figure = [one for _, one in steps], new_figure(5.2 * len(steps), 6.0)
+    scale, largest = line_load_scale(solutions), largest_of(solutions)
+    axes = figure.subplots(1, len(steps), squeeze=False, sharex=True, sharey=True)[0]
+    for ax, (words, solution) in zip(axes, steps, strict=True):
+        plot_line_loads(solution, ax, scale, largest).set_title(words, fontsize=11)
     return figure
 
 
@@ -203,13 +216,12 @@ def _directions(solution: CurtainSolution, principal: tuple[Array, Array], scale
     ax.plot([], [], color="black", lw=1.2, label="direction of this load")
 
 
-def _loads(solution: CurtainSolution, ax: Axes) -> None:
+def _loads(solution: CurtainSolution, ax: Axes, largest: Sequence[float]) -> None:
     """Loads at points and wind as arrows, the longest of each a part of the size of the mesh."""
     size = LONGEST * solution.problem.mesh.size
-    for name, colour, forces, way in FORCES[2:]:
+    for (name, colour, forces, way), longest in list(zip(FORCES, largest, strict=True))[2:]:
         at, force = (part[:, :2] for part in forces(solution))
-        longest = float(np.linalg.norm(force, axis=1).max(initial=0.0))
-        if longest > 0.0:
+        if force.any():
             ax.update_datalim(at + way * size * force / longest)
             ends: Any = {"angles": "xy", "scale_units": "xy", "scale": longest / size, "width": 0.009}
             ends |= {"pivot": "tail" if way > 0 else "tip", "label": f"{name}, up to {digits(longest)} N"}

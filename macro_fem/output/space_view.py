@@ -45,6 +45,12 @@ def line_load_scale(steps: Sequence[CurtainSolution]) -> Scale:
     return Scale.of(values, "line load, N/mm of reference")
 
 
+def largest_of(steps: Sequence[CurtainSolution]) -> tuple[float, ...]:
+    """The largest force of all steps, N, of each of `FORCES`."""
+    each = ([np.linalg.norm(forces(step)[1], axis=1) for step in steps] for _, _, forces, _ in FORCES)
+    return tuple(float(np.concatenate(sizes).max(initial=0.0)) for sizes in each)
+
+
 def box_of(points: Array) -> Array:
     """The least and the largest coordinates (2, 3) of points (n, 3)."""
     return np.stack([points.min(axis=0), points.max(axis=0)])
@@ -68,7 +74,7 @@ class PictureFrame:
     def of(cls, steps: Sequence[CurtainSolution]) -> PictureFrame:
         """The frame of one solution, or of all load steps."""
         each = [[(forces(step), way) for step in steps] for _, _, forces, way in FORCES]
-        largest = tuple(max(np.linalg.norm(one, axis=1).max(initial=0.0) for (_, one), _ in kind) for kind in each)
+        largest = largest_of(steps)
         both = ((at, way * force) for kind in each for (at, force), way in kind)
         at, force = (np.concatenate(parts) for parts in zip(*both, strict=True))
         room = box_of(np.concatenate([padded(step.corners) for step in steps]))

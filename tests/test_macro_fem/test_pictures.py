@@ -5,6 +5,7 @@ import pytest
 
 import macro_fem
 from macro_fem.output.forces import pulls, winds
+from macro_fem.output.pictures import side_by_side
 from macro_fem.output.space_view import drawn
 from rve.common.drawing.space import parts
 from rve.common.errors import InputError
@@ -14,7 +15,8 @@ from tests.test_macro_fem.sheets import sheet
 ENDS = [{"kind": "edge", "edge": "top"}, {"kind": "edge", "edge": "bottom", "move": [0, 260, 150]}]
 POINT, WIND = {"at": [120, 100], "force": [0, 0, 9]}, {"pressure": 600, "direction": [0, 0, 1]}
 HAMMOCK = sheet(240, 300, 6, ENDS, load={"steps": 2, "point": POINT, "wind": WIND})
-PLANE = sheet(100, 80, 3, {"kind": "corners", "move": [0, 7]}, load={"steps": 2})
+TIP = {"at": [50, 0], "force": [1, -1]}
+PLANE = sheet(100, 80, 3, {"kind": "corners", "move": [0, 7]}, load={"steps": 2, "point": TIP})
 
 
 @pytest.fixture(scope="module")
@@ -31,15 +33,17 @@ def test_arrows_of_supports_add_up_to_the_load(hammock):
     at, force = pulls(hammock.solution)
     assert len(at) > 8
     np.testing.assert_allclose(force.sum(axis=0), -hammock.solution.problem.force.sum(axis=0), atol=1e-6)
-    on_edges = np.abs(at[:, None, 1] - [300.0, 260.0]).min(axis=1)
-    assert on_edges.max() < 1e-9
+    assert np.abs(at[:, None, 1] - [300.0, 260.0]).min(axis=1).max() < 1e-9  # on the edges
     np.testing.assert_allclose(winds(hammock.solution)[1].sum(axis=0), [0.0, 0.0, 6e-4 * 240.0 * 300.0])
 
 
-def test_pictures_of_a_series_share_the_ground_and_the_names_of_forces(hammock):
+def test_pictures_of_a_series_share_the_ground_and_the_names_of_forces(hammock, plane):
     steps = drawn([("half", hammock.steps[0]), ("all", hammock.steps[1])])
     first, last = [{name: part[0].bounds for name, part in parts(one).items()} for _, one in steps]
     assert (list(first), first["_ground"]) == (list(last), last["_ground"])
+    figure = side_by_side([("half", plane.steps[0]), ("all", plane.steps[1])])
+    half, whole = (ax.get_legend_handles_labels()[1] for ax in figure.axes[:2])
+    assert half == whole == [*half[:-1], "load at a point, up to 1.41 N"]
 
 
 def test_a_page_of_a_curtain(hammock, plane, tmp_path):
@@ -57,8 +61,7 @@ def test_a_picture_and_a_film_with_a_frame_per_load_step(kind, request, tmp_path
     request.getfixturevalue(kind).save(tmp_path, animation=True)
     assert {"curtain.png", "curtain.gif", "summary.json"} <= {file.name for file in tmp_path.iterdir()}
     frames, changed = film_of(tmp_path / "curtain.gif")
-    assert frames == 2
-    assert 1e-3 < changed < 0.5
+    assert (frames, 1e-3 < changed < 0.5) == (2, True)
 
 
 @pytest.mark.slow

@@ -144,10 +144,9 @@ def test_a_ball_that_strikes_a_sheet_without_supports_keeps_momentum_and_links()
     assert -1e-9 < gap < 0.1
     assert told["mean_z_mm"][-1] < -0.5
     assert told["lost_by_locking_N_mm"][-1] > 0.0
-    place = found.frames[-1].moment.x[-1]
     drawn = replace(last, walls=last.walls * 2).drawn  # two of one name are two
     ax = drawn.plot()
-    assert [one.center for one in ax.patches] == [pytest.approx(place[:2])] * 2
+    assert [one.center for one in ax.patches] == [pytest.approx(found.frames[-1].moment.x[-1, :2])] * 2
     ax.collections[0].update_scalarmappable()
     assert len(np.unique(ax.collections[0].get_edgecolor(), axis=0)) > 2  # by their forces
     assert {"ball", "ball 2"} <= set(parts(drawn.draw()))
