@@ -98,14 +98,3 @@ def within_range(check, said, is_whole):
             check(number(outside))
     if not said[1]:
         check(number(low))
-
-
-def test_the_drawings_are_those_of_the_script():
-    from docs import drawings
-
-    written = {path.stem for path in (PAGE.parents[1] / "drawings").glob("*.svg")}
-    assert written == set(drawings.DRAWINGS)
-    pages = "".join(
-        path.read_text("utf-8") for path in [*PAGE.parents[1].rglob("*.md"), PAGE.parents[2] / "CONTRIBUTING.md"]
-    )
-    assert not {name for name in written if f"drawings/{name}.svg" not in pages}
