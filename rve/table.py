@@ -212,5 +212,6 @@ def _read_provenance(table: Path) -> dict[str, Any]:
     found = read_json_object(path)
     check_rings(found, f"{path}:")
     remedy = "make the table again, or put the two files of one table side by side; if you have edited the table on "
-    check_belongs(table, path, found, f'{remedy}purpose, remove "files" from {path.name}')
+    if "files" in found:  # those of tables that were edited on purpose list none
+        check_belongs(table, path, found, f'{remedy}purpose, remove "files" from {path.name}')
     return {key: value for key, value in found.items() if key != "files"}

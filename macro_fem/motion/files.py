@@ -190,8 +190,7 @@ def read_kept(path: Path, mover: AnyMover, of: str) -> tuple[list[Any], list[Any
         raise InputError(f"--continue: {path} is missing: there is no run to go on with")
     record = path.with_name(RECORD)
     try:
-        sums = read_json_object(record).get("files") or {}
-        check_belongs(path, record, {"files": sums}, "run again without --continue")
+        check_belongs(path, record, read_json_object(record), "run again without --continue")
     except (OSError, InputError) as error:
         raise InputError(f"--continue: {path} is not what a run has kept: run again without it") from error
     with np.load(path, allow_pickle=False) as file:

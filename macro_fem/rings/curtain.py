@@ -126,7 +126,7 @@ def read_curtain(path: str | Path) -> Curtain:
     """
     vtu = curtain_file(path)
     mesh, record = read_mesh_file(vtu), vtu.parent / "summary.json"
-    known = {"files": {}} | read_json_object(record)
+    known = read_json_object(record)
     check_belongs(vtu, record, known, "run macro_fem again, or put the two files of one run side by side")
     if STRAIN not in mesh.cell_data:
         raise InputError(f"{vtu}: has no field {STRAIN}; is it the curtain.vtu of macro_fem run?")

@@ -201,12 +201,10 @@ def _listed(folder: Path, record: str) -> dict[str, str]:
 
 
 def check_belongs(path: AnyPath, record: AnyPath, known: dict[str, Any], remedy: str) -> None:
-    """InputError if the record `known`, read from the file `record`, lists files and none has the content of `path`.
-
-    Records of older versions list none and are believed. Files may be renamed.
-    """
+    """InputError unless the record `known`, read from the file `record`, lists a file with the content of `path`, which
+    may have been renamed."""
     sums = known.get("files")
-    if sums is not None and not (isinstance(sums, dict) and checksum(path) in sums.values()):
+    if not (isinstance(sums, dict) and checksum(path) in sums.values()):
         raise InputError(
             f"{path}: does not belong to {record}: its SHA-256 checksum is none of those listed there, so that one of "
             f"the two was changed or comes from another run; {remedy}"
