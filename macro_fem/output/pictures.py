@@ -16,6 +16,7 @@ from macro_fem.output.space_view import (
     Titled,
     draw_curtain,
     drawn,
+    forces_of,
     largest_of,
     line_load_scale,
     save_panels,
@@ -101,7 +102,7 @@ def figures(steps: Titled) -> Iterator[Figure]:
         for words, plotter in drawn(steps):
             yield space.compose(plotter, words)
         return
-    scale, largest = line_load_scale(solutions), largest_of(solutions)
+    scale, largest = line_load_scale(solutions), largest_of(forces_of(solutions))
     points = np.concatenate([*(one.x for one in solutions), solutions[0].problem.disc.nodes])
     low, high = points.min(axis=0), points.max(axis=0)
     room = 0.04 * float((high - low).max())
@@ -124,7 +125,7 @@ def plot_line_loads(
     scale = line_load_scale([solution]) if scale is None else scale
     ax = _plot_field(solution, values[:, 0], scale, ax)
     _directions(solution, (values, direction), scale, ax)
-    _loads(solution, ax, largest or largest_of([solution]))
+    _loads(solution, ax, largest or largest_of(forces_of([solution])))
     _legend(ax)
     ax.set_title(title(solution).replace(", ", ",\n", 1), fontsize=11)
     return ax
@@ -157,7 +158,7 @@ def panels(solution: CurtainSolution) -> Figure:
 def side_by_side(steps: Titled) -> Figure:
     """Line loads of several solutions on one scale."""
     solutions, figure = [one for _, one in steps], new_figure(5.2 * len(steps), 6.0)
-    scale, largest = line_load_scale(solutions), largest_of(solutions)
+    scale, largest = line_load_scale(solutions), largest_of(forces_of(solutions))
     axes = figure.subplots(1, len(steps), squeeze=False, sharex=True, sharey=True)[0]
     for ax, (words, solution) in zip(axes, steps, strict=True):
         plot_line_loads(solution, ax, scale, largest).set_title(words, fontsize=11)

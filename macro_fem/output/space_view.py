@@ -45,10 +45,14 @@ def line_load_scale(steps: Sequence[CurtainSolution]) -> Scale:
     return Scale.of(values, "line load, N/mm of reference")
 
 
-def largest_of(steps: Sequence[CurtainSolution]) -> tuple[float, ...]:
+def forces_of(steps: Sequence[CurtainSolution]) -> list[list[tuple[Array, Array]]]:
+    """Of each of `FORCES` the places and forces (n, 3), N, of every step."""
+    return [[forces(step) for step in steps] for _, _, forces, _ in FORCES]
+
+
+def largest_of(each: list[list[tuple[Array, Array]]]) -> tuple[float, ...]:
     """The largest force of all steps, N, of each of `FORCES`."""
-    each = ([np.linalg.norm(forces(step)[1], axis=1) for step in steps] for _, _, forces, _ in FORCES)
-    return tuple(float(np.concatenate(sizes).max(initial=0.0)) for sizes in each)
+    return tuple(max(float(np.linalg.norm(force, axis=1).max(initial=0.0)) for _, force in kind) for kind in each)
 
 
 def box_of(points: Array) -> Array:
@@ -73,9 +77,9 @@ class PictureFrame:
     @classmethod
     def of(cls, steps: Sequence[CurtainSolution]) -> PictureFrame:
         """The frame of one solution, or of all load steps."""
-        each = [[(forces(step), way) for step in steps] for _, _, forces, way in FORCES]
-        largest = largest_of(steps)
-        both = ((at, way * force) for kind in each for (at, force), way in kind)
+        each = forces_of(steps)
+        largest = largest_of(each)
+        both = ((at, way * force) for (*_, way), kind in zip(FORCES, each, strict=True) for at, force in kind)
         at, force = (np.concatenate(parts) for parts in zip(*both, strict=True))
         room = box_of(np.concatenate([padded(step.corners) for step in steps]))
         size = float(np.linalg.norm(room[1] - room[0]))
