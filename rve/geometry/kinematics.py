@@ -17,8 +17,9 @@ def cauchy_line_load(alpha_deg: ArrayLike, beta_deg: ArrayLike) -> Array:
 
     Multiples of 90 degrees are exact: no round-off shear, no round-off compression.
 
-    >>> cauchy_line_load([0.0], [90.0])
-    array([[0., 0., 1.]])
+    >>> cauchy_line_load([0.0, 2.0**200 * 360.0], [90.0, 90.0])
+    array([[0., 0., 1.],
+           [0., 0., 1.]])
     """
     (ca, sa), (s1, s2) = _cos_sin(alpha_deg), _cos_sin(beta_deg)
     s = np.stack([ca**2 * s1 + sa**2 * s2, ca * sa * (s1 - s2), sa**2 * s1 + ca**2 * s2], axis=-1)
@@ -26,7 +27,9 @@ def cauchy_line_load(alpha_deg: ArrayLike, beta_deg: ArrayLike) -> Array:
 
 
 def _cos_sin(degrees: ArrayLike) -> tuple[Array, Array]:
-    angle = np.asarray(degrees, dtype=float)
+    angle = np.fmod(
+        np.asarray(degrees, dtype=float), 360.0
+    )  # numbers of quarters beyond those of integers have no turn
     quarter = np.round(angle / 90.0)
     rest = np.radians(angle - 90.0 * quarter)
     c, s = np.cos(rest), np.sin(rest)
