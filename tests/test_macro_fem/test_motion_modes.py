@@ -28,7 +28,8 @@ def test_frequencies_of_a_hanging_chain(kind):
     exact = 0.25 * jn_zeros(0, 3) * np.sqrt(G / LENGTH) / np.pi
     error = [np.abs(find_modes(strip(rows, kind=kind), 3).frequencies_Hz / exact - 1.0).max() for rows in (16, 32)]
     assert error[1] < 1e-4  # 2e-5 are the law's own
-    assert kind == "rigid" or error[0] / error[1] > 8.0  # 16 of the fourth order; forces of rigid rings are open
+    # 16 of the fourth order; forces of rigid rings are open, and errors of coarse strips as small as those of fine ones
+    assert max(error) < 3e-4 if kind == "rigid" else error[0] / error[1] > 8.0
     lying = strip(64, obstacle={"kind": "floor", "height": 300.0}, solver={"space": True, "kind": kind})
     assert find_modes(lying, 1).frequencies_Hz[0] == pytest.approx(exact[0] / np.sqrt(0.7), rel=2e-2)  # what hangs
 
