@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from macro_fem.answer import Solution
-from macro_fem.bounds.interval import Level
+from macro_fem.bounds.interval import CurtainBounds
 from macro_fem.elastic_forces import with_forces
 from macro_fem.output import files
 from macro_fem.output.forces import obstacle_summary
@@ -44,7 +44,7 @@ class MembraneSolution(Solution):
 
     scene: Scene
     steps: tuple[CurtainSolution, ...]
-    levels: tuple[Level, ...] = ()
+    levels: tuple[CurtainBounds, ...] = ()
     demand: Demand | None = None
     combinations: tuple[tuple[Combination, Solution], ...] = ()
 
@@ -101,7 +101,7 @@ class MembraneSolution(Solution):
         features = files.features(self.loaded, bounds=bool(self.levels), picture=wanted.picture)
         summary = self.summary | {"features": features}
         area = self.solution.problem.disc.cell_area
-        error = {"error_N_mm_per_mm2": self.levels[-1].bounds.error / area} if self.levels else {}
+        error = {"error_N_mm_per_mm2": self.levels[-1].error / area} if self.levels else {}
         write_mesh_file(staged / "curtain.vtu", files.curtain_mesh(self.loaded, error))
         if len(self.steps) > 1:
             entries = [(k / len(self.steps), 0, f"curtain_{k:04d}.vtu") for k in range(1, len(self.steps) + 1)]

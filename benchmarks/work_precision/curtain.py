@@ -19,7 +19,7 @@ from benchmarks.problems import square
 from homogenize.io import default_law
 from homogenize.laws.net import diagonal_net
 from homogenize.laws.protocol import MembraneLaw
-from macro_fem.bounds.interval import Level, levels
+from macro_fem.bounds.interval import CurtainBounds, levels
 from macro_fem.curtain import solve_scene
 from macro_fem.scene.scene import Scene, read_scene
 
@@ -130,10 +130,10 @@ def reference_height(cells: int) -> tuple[float, float]:
     return 2.0 * fine - middle, abs(2.0 * fine - middle - (2.0 * middle - coarse))
 
 
-def certified(problem: Problem, cells: int, adapt: int) -> list[tuple[Level, float]]:
+def certified(problem: Problem, cells: int, adapt: int) -> list[tuple[CurtainBounds, float]]:
     """Levels with bounds, and the seconds of all levels so far, upper and lower bound together; each runs once."""
     steps = levels(scene_of(problem, Way("P1"), cells, bounds=True, adapt=adapt), problem.law)
-    found: list[tuple[Level, float]] = []
+    found: list[tuple[CurtainBounds, float]] = []
     spent = 0.0
     while True:
         level, seconds = least_seconds(partial(next, steps, None), long=0.0)
@@ -143,11 +143,11 @@ def certified(problem: Problem, cells: int, adapt: int) -> list[tuple[Level, flo
         found.append((level, spent))
 
 
-def interval(level: Level) -> tuple[float, float]:
+def interval(level: CurtainBounds) -> tuple[float, float]:
     """Certified lower and upper bound of the mean height in mm."""
     total = float(np.abs(level.solution.problem.force).sum())
     high = level.solution.mean_height()
-    return high - level.bounds.gap / total, high
+    return high - level.gap / total, high
 
 
 def ladder_table(problem: Problem, sizes: list[int], reference: float, ways: tuple[Way, ...]) -> tuple[Table, Diagram]:
@@ -169,7 +169,7 @@ def ladder_table(problem: Problem, sizes: list[int], reference: float, ways: tup
 
 def certificates(problem: Problem, uniform: list[int], adapt: int, reference: float) -> tuple[Table, Diagram]:
     """Certified gap and true error against time, on uniform and on adapted meshes."""
-    ladders: Mapping[str, list[tuple[Level, float]]] = {
+    ladders: Mapping[str, list[tuple[CurtainBounds, float]]] = {
         "uniform": [certified(problem, cells, 0)[0] for cells in uniform],
         "adapted": certified(problem, uniform[0], adapt),
     }

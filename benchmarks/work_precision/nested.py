@@ -112,7 +112,7 @@ def on_demand(cell: Cell, cells: int, accuracy: float) -> tuple[float, int, floa
     info: CellInfo | None = found.law.law.cell
     law = law_interval(found.law.rows, cell=info)
     heights = [curtain(one, cells).mean_height() for one in (law.inner, law.outer)]
-    bounds = found.level.bounds
+    bounds = found.level
     scale = float(np.abs(found.level.solution.problem.force).sum()) * HEIGHT
     return float(np.mean(heights)), found.rings.solves, bounds.gap / scale
 

@@ -13,16 +13,15 @@ u_e at the ends of each edge (for the tractions). The gradient that P sees at th
     G(v) = -3 u_T (x) grad lam_v - 6 sum over edges e of  (integral of lam_v u_e over e / |e|) (x) grad lam_opposite(e),
 
 so the arrays of `macro_fem.fem.discretization.Discretization` describe it: seven nodes, three points, constant
-coefficients. In space P is 3 x 2 and all of this holds component by component. Walls push evenly in every triangle.
+coefficients: node 2 f + k belongs to end k (corner `facets[k, f]`) of edge f, node 2 n_facets + c to triangle c. In
+space P is 3 x 2 and all of this holds component by component. Walls push evenly in every triangle.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
-from scipy import sparse
 
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import in_space_of
@@ -30,46 +29,14 @@ from macro_fem.fem.discretization import Discretization, Points, discretize
 from macro_fem.fem.hung_law import largest_stretch
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.problem import CurtainProblem
-from macro_fem.scene.loads import disk_areas, weight_per_area, wind_per_area
+from macro_fem.scene.loads import nodal_forces
 from macro_fem.scene.meshing.mesh import CurtainMesh
-from macro_fem.scene.scene import Scene
-from macro_fem.scene.sites import Sliding, in_order, sliding_nodes
-from macro_fem.scene.supports import Supports, pin_sliding, straight_ties
-from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
+from macro_fem.scene.sites import Sliding, facet_nodes, sliding_nodes
+from macro_fem.scene.supports import Supports, pin_sliding, straight_bars
+from macro_fem.scene.tables import PointLoad
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.walls import Walls
 from rve.common import Array
-
-
-@dataclass(frozen=True, eq=False)
-class DualMesh:
-    """The hybrid element on a mesh: `disc`, and where its unknowns sit.
-
-    Node 2 f + k belongs to end k (corner `facets[k, f]`) of edge f, node 2 n_facets + c to triangle c.
-    """
-
-    mesh: CurtainMesh
-    disc: Discretization
-
-    @property
-    def facets(self) -> np.ndarray:
-        """Corner numbers (2, n_facets) of the ends of the edges."""
-        return self.mesh.mesh.facets
-
-    @cached_property
-    def edges(self) -> Array:
-        """Every edge from its first to its second end (n_facets, 2), mm."""
-        first, second = self.mesh.mesh.p.T[self.facets]
-        return np.asarray(second - first)
-
-    @cached_property
-    def edge_lengths(self) -> Array:
-        """Length of every edge (n_facets,), mm."""
-        return np.hypot(*self.edges.T)
-
-    def ends(self, facets: np.ndarray) -> np.ndarray:
-        """The nodes at the first, then the second ends of edges."""
-        return np.concatenate([2 * facets, 2 * facets + 1])
 
 
 def at_dual_nodes(x: Array, mesh: CurtainMesh) -> Array:
@@ -78,7 +45,7 @@ def at_dual_nodes(x: Array, mesh: CurtainMesh) -> Array:
     return np.concatenate([ends.reshape(-1, x.shape[1]), middle])
 
 
-def dual_mesh(mesh: CurtainMesh) -> DualMesh:
+def dual_disc(mesh: CurtainMesh) -> Discretization:
     """The hybrid element on a mesh of triangles."""
     sk, flat = mesh.mesh, discretize(mesh.mesh, "P1")
     n_facets, n_cells = sk.facets.shape[1], sk.t.shape[1]
@@ -89,7 +56,7 @@ def dual_mesh(mesh: CurtainMesh) -> DualMesh:
         for column, corner in ((2 * local, a), (2 * local + 1, b)):
             dofs[:, column] = 2 * facet + (sk.facets[1, facet] == sk.t[corner])
     dofs[:, 6] = 2 * n_facets + np.arange(n_cells)
-    disc = replace(
+    return replace(
         flat,
         element="equilibrium",
         nodes=at_dual_nodes(sk.p.T, mesh),
@@ -98,7 +65,6 @@ def dual_mesh(mesh: CurtainMesh) -> DualMesh:
         shape_gradients=_reference_gradients(flat.shape_gradients[0]),
         weight=np.tile(flat.weight / 3.0, 3),
     )
-    return DualMesh(mesh, disc)
 
 
 def _reference_gradients(corner_gradients: Array) -> Array:
@@ -115,14 +81,14 @@ def _reference_gradients(corner_gradients: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class DualProblem:
-    """The hybrid problem: supported element, nodal forces, what spread loads may cost at every edge (n_facets,), N mm,
-    and walls.
+    """The hybrid problem: mesh, supported element, nodal forces, what spread loads may cost at every edge (n_facets,),
+    N mm, and walls.
 
     Edges `facet` (k,) bear the reactions of single held points, which are at their ends `near` (k,) and held at
     `centre` (k, d), nan in components that are not.
     """
 
-    dual: DualMesh
+    mesh: CurtainMesh
     fem: SupportedFem
     force: Array
     load_cost: Array
@@ -137,25 +103,26 @@ def dual_problem(solution: CurtainSolution, near_slack: Array) -> DualProblem:
     (n_nodes, d), positions of its nodes.
     """
     problem, d = solution.problem, solution.problem.fem.d
-    scene, given, dual = problem.scene, problem.supports, dual_mesh(problem.mesh)
-    force, cost = dead_and_live(problem, dual)
-    mask, positions = np.zeros(near_slack.shape, bool), in_space_of(dual.disc.nodes, d)
+    scene, given, mesh = problem.scene, problem.supports, problem.mesh
+    disc, facets = dual_disc(mesh), mesh.mesh.facets
+    force, cost = dead_and_live(problem, disc)
+    mask, positions = np.zeros(near_slack.shape, bool), in_space_of(disc.nodes, d)
 
     single = [held for held in given.held if not len(held.facets)]
     corner = np.concatenate([np.zeros(0, int), *(held.nodes for held in single)])
-    which, near, facet = np.nonzero(dual.facets == corner[:, None, None])
+    which, near, facet = np.nonzero(facets == corner[:, None, None])
     component = np.concatenate([np.zeros((0, d), bool), *(held.mask for held in single)])[which]
     centre = np.concatenate([np.zeros((0, d)), *(held.positions for held in single)])[which]
-    nodes = dual.ends(facet)
+    nodes = facet_nodes(mesh, disc, facet).ravel()
     np.logical_or.at(mask, nodes, np.tile(component, (2, 1)))
     positions[nodes] = near_slack[nodes]
 
     whole, lines = np.asarray(mask.all(axis=1)), list[tuple[np.ndarray, Array]]()
-    number = np.zeros(problem.mesh.mesh.p.shape[1], int)
+    number = np.zeros(mesh.mesh.p.shape[1], int)
     for held in given.held:
-        nodes = dual.ends(held.facets)
+        nodes = facet_nodes(mesh, disc, held.facets).ravel()
         number[held.nodes] = np.arange(len(held.nodes))
-        which = number[dual.facets[:, held.facets].ravel()]
+        which = number[facets[:, held.facets].ravel()]
         positions[nodes] = np.where(held.mask[which], held.positions[which], positions[nodes])
         mask[nodes] |= held.mask[which]
         if held.slide is None:
@@ -163,63 +130,37 @@ def dual_problem(solution: CurtainSolution, near_slack: Array) -> DualProblem:
         elif len(nodes):
             lines.append((nodes, held.slide))
     sliding, no_pins = sliding_nodes(lines, whole, d), Sliding.none(d)
-    supports = Supports(given.held, mask, positions, sliding, no_pins, _bars(scene, dual))
-    fem = pin_sliding(supports, dual.disc, force, scene.source).fem(dual.disc)
+    supports = Supports(given.held, mask, positions, sliding, no_pins, straight_bars(scene, mesh, disc, mask))
+    fem = pin_sliding(supports, disc, force, scene.source).fem(disc)
     centre = np.where(component, centre, np.nan)
-    return DualProblem(dual, fem, force, cost, facet, near, centre, _walls(problem.walls, dual))
+    return DualProblem(mesh, fem, force, cost, facet, near, centre, _walls(problem.walls, disc))
 
 
-def dead_and_live(problem: CurtainProblem, dual: DualMesh) -> tuple[Array, Array]:
+def dead_and_live(problem: CurtainProblem, disc: Discretization) -> tuple[Array, Array]:
     """Nodal forces (n_nodes, d), and the most that point loads spread over edges (n_facets,) may change the potential
     there, N mm."""
-    scene, law, factor, disc, mesh = problem.scene, problem.law, problem.factor, dual.disc, dual.mesh
-    force = load_vector(disc, weight_per_area(scene, law.cell))
-    for bar in scene.of(Bar):
-        facets = mesh.edge(bar.edge, "[load.bar] edge")
-        weight = bar.mass * np.array(scene.load.acceleration[: scene.d])
-        force += _traction_forces(dual, facets, weight / dual.edge_lengths[facets].sum())
-    for wind in scene.of(Wind):
-        force += 0.0 if wind.is_shaped else load_vector(disc, factor * wind_per_area(wind, scene, law.cell))
+    scene, mesh, factor = problem.scene, problem.mesh, problem.factor
+    others = tuple(one for one in scene.items if not (isinstance(one, PointLoad) or getattr(one, "is_shaped", False)))
+    force = nodal_forces(replace(scene, items=others), mesh, disc, problem.law.cell, factor)
     if problem.wind is not None:
         force += load_vector(disc, np.tile(problem.disc.cell_mean(problem.wind), (3, 1)))
-    for edge in scene.of(EdgeLoad):
-        force += _traction_forces(dual, mesh.edge(edge.edge, "[load.edge] edge"), factor * scene.vector(edge.force))
-    cost = np.zeros(len(dual.edges))
+    cost = np.zeros(mesh.mesh.facets.shape[1])
     for point in scene.of(PointLoad):  # even over the edges at the nearest corner; costs |f| times the mean distance
         load, corners = factor * scene.vector(point.force), mesh.mesh.p.T
-        facets = np.nonzero(dual.facets == np.linalg.norm(corners - point.at, axis=1).argmin())[1]
-        lengths = dual.edge_lengths[facets]
-        moved = largest_stretch(law, dual.edges[facets]) * lengths**2 / (2.0 * lengths.sum())
-        force += _traction_forces(dual, facets, load / lengths.sum())
-        cost[facets] += np.linalg.norm(load) * moved
-    for patch in scene.of(PatchLoad):  # as in P1: even within each triangle, by the area in the disk
-        shares = disk_areas(mesh.mesh.p.T[mesh.mesh.t.T], np.array(patch.at), patch.radius)
-        even = shares[:, None] / shares.sum() * (factor * scene.vector(patch.force))
-        force[2 * dual.facets.shape[1] :] += even
+        facets = np.nonzero(mesh.mesh.facets == np.linalg.norm(corners - point.at, axis=1).argmin())[1]
+        edges = mesh.sides[facets]
+        lengths = np.hypot(*edges.T)
+        force[facet_nodes(mesh, disc, facets)] += (0.5 * lengths / lengths.sum())[:, None] * load
+        cost[facets] += np.linalg.norm(load) * largest_stretch(problem.law, edges) * lengths**2 / (2.0 * lengths.sum())
     return force, cost
 
 
-def _traction_forces(dual: DualMesh, facets: np.ndarray, traction: Array) -> Array:
-    """Nodal forces (n_nodes, d) of an even traction (d,) in N/mm on edges: half of each edge's force at each end."""
-    force = np.zeros((dual.disc.n_nodes, len(traction)))
-    force[dual.ends(facets)] = np.tile(0.5 * dual.edge_lengths[facets][:, None] * traction, (2, 1))
-    return force
-
-
-def _walls(walls: Walls, dual: DualMesh) -> Walls:
+def _walls(walls: Walls, disc: Discretization) -> Walls:
     """The planes that the nodes of the primal problem stay inside of, for the mean of every triangle.
 
     The law of the continuous curtain has them at all points, so that any pushes, even in every triangle, give a bound.
     """
-    planes = np.unique(np.column_stack([walls.normal, walls.offset]), axis=0)
-    n_cells, first = dual.disc.n_cells, 2 * dual.facets.shape[1]
-    middles = Points.of(np.tile(first + np.arange(n_cells), len(planes)))
+    planes, n_cells = np.unique(np.column_stack([walls.normal, walls.offset]), axis=0), disc.n_cells
+    middles = Points.of(np.tile(np.arange(disc.n_nodes - n_cells, disc.n_nodes), len(planes)))
     even = np.repeat(planes, n_cells, axis=0)
     return Walls(middles, even[:, :-1], even[:, -1], np.zeros(len(even), int))
-
-
-def _bars(scene: Scene, dual: DualMesh) -> sparse.csc_matrix | None:
-    """The straight bars' edges, kept on a line in the dual as they are in the primal problem."""
-    X, edges = dual.disc.nodes, [bar.edge for bar in scene.of(Bar) if bar.straight]
-    lines = [dual.ends(dual.mesh.edge(edge, "[load.bar] edge")) for edge in edges]
-    return straight_ties([nodes[in_order(X[nodes])] for nodes in lines], X) if lines else None

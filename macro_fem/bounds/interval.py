@@ -46,13 +46,15 @@ CORNERS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 
 @dataclass(frozen=True, eq=False)
 class CurtainBounds:
-    """upper and lower: bounds of the potential of the continuous curtain, N mm; `status` of the dual solver.
+    """The curtain on one mesh, and upper and lower bounds of the potential of the continuous one, N mm; `status` of the
+    dual solver.
 
     error (n_cells,): share of every triangle in upper - lower, N mm; `points`: the part of it that is due to supports
     and loads at points, with the solvers' own gaps; 0 without any. law_part: how much of upper - lower the distance
     between inner and outer law may make, N mm; None where both bounds are those of one law.
     """
 
+    solution: CurtainSolution
     upper: float
     lower: float
     error: Array
@@ -102,23 +104,23 @@ def bound(solution: CurtainSolution, outer: MembraneLaw | None = None) -> Curtai
     `outer`: a law, in the frame of the weave, that contains the solution's; the lower bound is then for it. InputError
     for a piece of the curtain that hangs on a single corner of another.
     """
-    begin = time.perf_counter()
-    upper, inner, area = solution.primal, solution.problem.law, solution.problem.disc.weight
+    begin, upper, inner, area = time.perf_counter(), solution.primal, solution.problem.law, solution.problem.disc.weight
     gradients = solution.F if solution.problem.disc.n_quad == 3 else np.tile(solution.F, (3, 1, 1))
-    solution = linear_part(solution, outer)
-    problem = solution.problem
-    dual, result = _solve(solution, INWARD)
+    flat = linear_part(solution, outer)
+    problem = flat.problem
+    dual, result = _solve(flat, INWARD)
     if result.stop == "infeasible":
-        dual, result = _solve(solution, 1.0)
+        dual, result = _solve(flat, 1.0)
     held = dual.fem.positions(np.zeros(dual.fem.n))
     value = result.dual - float((dual.force * held).sum())
     tether_cost, moment = _tether_cost(dual, problem.law, result, held)
     lower = value - tether_cost - float(dual.load_cost.sum()) + float((problem.force * problem.fem.reference).sum())
-    work = result.wall_forces * dual.walls.gap(at_dual_nodes(solution.x, dual.dual.mesh))  # pushes times distances
-    error = error_map(gradients, dual, result) + work.reshape(-1, dual.dual.disc.n_cells).sum(axis=0)
+    work = result.wall_forces * dual.walls.gap(at_dual_nodes(flat.x, dual.mesh))  # pushes times distances
+    error = error_map(gradients, dual, result) + work.reshape(-1, dual.fem.disc.n_cells).sum(axis=0)
     points = upper - lower - float(error.sum())
     loads = None if outer is None else loads_of(area, solution.S, inner, problem.law)
     return CurtainBounds(
+        solution=solution,
         upper=upper,
         lower=lower if result.converged else float("nan"),
         error=error + _near_points(dual, moment, points),
@@ -159,9 +161,9 @@ def linear_part(solution: CurtainSolution, outer: MembraneLaw | None) -> Curtain
 
 def _near_points(dual: DualProblem, moment: Array, points: float) -> Array:
     """What points cost, laid on the triangles (n_cells,) beside their edges in proportion to the moments there."""
-    share, cost = np.zeros(dual.dual.disc.n_cells), dual.load_cost.copy()
+    share, cost = np.zeros(dual.fem.disc.n_cells), dual.load_cost.copy()
     np.add.at(cost, dual.facet, moment)
-    for side in dual.dual.mesh.mesh.f2t:
+    for side in dual.mesh.mesh.f2t:
         np.add.at(share, side[side >= 0], cost[side >= 0])
     return points * share / share.sum() if share.sum() > 0.0 else share
 
@@ -173,16 +175,16 @@ def _tether_cost(dual: DualProblem, law: MembraneLaw, result: PathResult, held: 
     kappa |r| s. With end values r_a (at the point) and r_b of r, that of |r| s is at most
     length^2 (|r_a| / 6 + |r_b| / 3).
     """
-    mesh, facet, near = dual.dual, dual.facet, dual.near
-    balance = internal_force(mesh.disc, result.P) - dual.force
+    facet, near, edges = dual.facet, dual.near, dual.mesh.sides[dual.facet]
+    balance = internal_force(dual.fem.disc, result.P) - dual.force
     node = np.stack([2 * facet + near, 2 * facet + 1 - near])
     is_held = np.isfinite(dual.centre)
     R = np.where(is_held, balance[node], 0.0)  # (2, k, d): nodal reactions at the near and the far end
     moved = (R * np.where(is_held, held[node] - dual.centre, 0.0)).sum()
-    length = mesh.edge_lengths[facet]
+    length = np.hypot(*edges.T)
     r = (4.0 * R - 2.0 * R[::-1]) / length[:, None]
     size = np.linalg.norm(r, axis=-1)
-    moment = largest_stretch(law, mesh.edges[facet]) * length**2 * (size[0] / 6.0 + size[1] / 3.0)
+    moment = largest_stretch(law, edges) * length**2 * (size[0] / 6.0 + size[1] / 3.0)
     return float(moved + moment.sum()), moment
 
 
@@ -192,19 +194,11 @@ def error_map(F: Array, dual: DualProblem, result: PathResult) -> Array:
     F (3 n_cells, d, 2) is that of the admissible curtain at the corners of triangles. P and F are linear, so that the
     integral of P:F is A/12 (sum P_i:F_i + sum P_i : sum F_i) over the corners i of a triangle of area A.
     """
-    n = dual.dual.disc.n_cells
-    weight = dual.dual.disc.weight.reshape(3, n)
+    n = dual.fem.disc.n_cells
+    weight = dual.fem.disc.weight.reshape(3, n)
     P, F = result.P.reshape(3, n, -1), F.reshape(3, n, -1)
     work = 0.25 * ((P * F).sum(axis=(0, 2)) + (P.sum(axis=0) * F.sum(axis=0)).sum(axis=1))
     return np.asarray((weight * result.psi.reshape(3, n)).sum(axis=0) - weight[0] * work)
-
-
-@dataclass(frozen=True, eq=False)
-class Level:
-    """The curtain on one mesh and its bounds."""
-
-    solution: CurtainSolution
-    bounds: CurtainBounds
 
 
 def levels(
@@ -212,7 +206,7 @@ def levels(
     law: MembraneLaw,
     outer: MembraneLaw | None = None,
     first: CurtainSolution | None = None,
-) -> Iterator[Level]:
+) -> Iterator[CurtainBounds]:
     """The curtain on the scene's mesh and on `scene.solver.adapt` refinements of it, each with its bounds.
 
     The lower bound is that of an `outer` law that contains `law`. `first`: the curtain of the admissible problem on the
@@ -227,12 +221,12 @@ def levels(
         if solution.status != "converged":
             return
         with part_of(f"{work}, bounds", 0.5, 1.0):
-            level = Level(solution, bound(solution, outer=outer))
-        yield level
-        if level.bounds.status != "converged":
+            bounds = bound(solution, outer=outer)
+        yield bounds
+        if bounds.status != "converged":
             return
         if number < scene.solver.adapt:
-            mesh = refine(mesh, mark(level.bounds.error))
+            mesh = refine(mesh, mark(bounds.error))
 
 
 def admissible_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: float = 1.0) -> CurtainProblem:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from homogenize import LawInterval, MembraneLaw
-from macro_fem.bounds.interval import Level, Loads, admissible_problem, bound, loads_of, mark, with_cones_of
+from macro_fem.bounds.interval import CurtainBounds, Loads, admissible_problem, bound, loads_of, mark, with_cones_of
 from macro_fem.curtain import solve_problem
 from macro_fem.demand.directions import between, first_directions, widest
 from macro_fem.demand.options import ACCURACY
@@ -76,7 +76,7 @@ class Demand:
     status: "converged" if the interval is as narrow as asked; `message` says what limits it otherwise.
     """
 
-    level: Level
+    level: CurtainBounds
     law: LawInterval
     rings: Rings
     turns: tuple[Turn, ...]
@@ -112,7 +112,7 @@ def solve_on_demand(scene: Scene, rings: Rings, accuracy: float = ACCURACY) -> D
         rings.learn(first_directions(rings.is_mirrored))
     mesh, turns = build_mesh(scene, rings.info), list[Turn]()
     last: CurtainSolution | None = None
-    level: Level | None = None
+    level: CurtainBounds | None = None
     share, status, why = FIRST_GAP, "turn_limit", dict[str, Any]()
     while len(turns) < MOST_TURNS:
         with part_of(_line(mesh, rings, level), 0.0, 1.0):
@@ -131,21 +131,21 @@ def solve_on_demand(scene: Scene, rings: Rings, accuracy: float = ACCURACY) -> D
         is_known = part <= AGAIN * allowed or len(rings.x) == before
         if is_known:
             with part_of("bounds", 0.0, 1.0):
-                new = Level(solution, bound(solution, outer=rings.law.outer))
-        lower, cells = new.bounds.lower if is_known else np.nan, solution.problem.disc.n_cells
+                new = bound(solution, outer=rings.law.outer)
+        lower, cells = new.lower if is_known else np.nan, solution.problem.disc.n_cells
         asked = len(rings.rows), rings.solves, rings.hits
         turns.append(Turn(cells, *asked, solution.primal, lower, part, time.perf_counter() - began))
         last = solution
         if not is_known:
             continue
-        level = new if level is None or new.bounds.status == "converged" else level
+        level = new if level is None or new.status == "converged" else level
         end = _find_end(new, rings, turns, accuracy)
         if end is not None:
             why = {"cells": MOST_CELLS, "solves": MOST_SOLVES, "failed": rings.failed, "raised": rings.law.raised}
-            status, why = end, why | {"law": float(new.bounds.law_part or 0.0) / scale, "bound": new.bounds.status}
+            status, why = end, why | {"law": float(new.law_part or 0.0) / scale, "bound": new.status}
             break
-        share = FALL * max(level.bounds.gap - part, 0.0) / scale
-        mesh = refine(mesh, mark(level.bounds.error))
+        share = FALL * max(level.gap - part, 0.0) / scale
+        mesh = refine(mesh, mark(level.error))
     if level is None:
         raise InputError(f"{scene.source}: no bounds after {len(turns)} turns; ask for less accuracy")
     return Demand(level, rings.law, rings, tuple(turns), accuracy, status, SENTENCES[status].format(**why))
@@ -197,9 +197,9 @@ def _loads(solution: CurtainSolution, rings: Rings, inner: MembraneLaw) -> Loads
     return loads_of(problem.disc.weight, problem.law.in_weave(solution.S), inner, rings.law.outer)
 
 
-def _find_end(level: Level, rings: Rings, turns: Sequence[Turn], accuracy: float) -> str | None:
+def _find_end(bounds: CurtainBounds, rings: Rings, turns: Sequence[Turn], accuracy: float) -> str | None:
     """The status if this was the last turn."""
-    bounds, target = level.bounds, accuracy * _scale(level.solution)
+    target = accuracy * _scale(bounds.solution)
     if bounds.status != "converged":
         return "bound_limit"
     if bounds.gap <= target:  # by rows that do not contradict each other, else some h are not the largest work
@@ -210,10 +210,10 @@ def _find_end(level: Level, rings: Rings, turns: Sequence[Turn], accuracy: float
     return "mesh_limit" if turns[-1].cells + 3 * len(mark(bounds.error)) > MOST_CELLS else None
 
 
-def _line(mesh: CurtainMesh, rings: Rings, level: Level | None) -> str:
+def _line(mesh: CurtainMesh, rings: Rings, level: CurtainBounds | None) -> str:
     """What the progress line says."""
     text = f"{mesh.mesh.t.shape[1]} triangles, {len(rings.rows)} ring problems"
     if level is None:
         return text
-    scale, gap, law = _scale(level.solution), level.bounds.gap, float(level.bounds.law_part or 0.0)
+    scale, gap, law = _scale(level.solution), level.gap, float(level.law_part or 0.0)
     return f"{text}, interval {gap / scale:.2e} of the height (law {law / scale:.1e}, mesh {(gap - law) / scale:.1e})"

@@ -23,7 +23,7 @@ from rve.common import Array, meshes, versions
 from rve.common.factor import linear_solver
 
 if TYPE_CHECKING:
-    from macro_fem.bounds.interval import Level
+    from macro_fem.bounds.interval import CurtainBounds
 
 
 def summarize(solution: CurtainSolution) -> dict[str, Any]:
@@ -97,9 +97,9 @@ def is_mean_height(problem: CurtainProblem) -> bool:
     return is_down and not problem.scene.of(LiveLoad) and bool(np.abs(problem.force).sum() > 0.0)
 
 
-def bounds_summary(level: Level) -> dict[str, Any]:
+def bounds_summary(bounds: CurtainBounds) -> dict[str, Any]:
     """Bounds of the potential of the continuous curtain, N mm, and of the mean height where weight is the only load."""
-    solution, bounds, problem = level.solution, level.bounds, level.solution.problem
+    solution, problem = bounds.solution, bounds.solution.problem
     total, mean = float(np.abs(problem.force).sum()), solution.mean_height()
     return {
         "status": bounds.status,
@@ -113,15 +113,15 @@ def bounds_summary(level: Level) -> dict[str, Any]:
     } | ({"mean_height_mm": [mean - bounds.gap / total, mean]} if is_mean_height(problem) else {})
 
 
-def interval_summary(level: Level) -> dict[str, Any]:
+def interval_summary(bounds: CurtainBounds) -> dict[str, Any]:
     """The interval of the mean height, mm, or of the potential, N mm, and its parts; that of the law is None where the
     law has no rows: then the interval is that of the law, not of the rings."""
-    bounds, problem, law = level.bounds, level.solution.problem, level.bounds.law_part
+    problem, law = bounds.solution.problem, bounds.law_part
     what, unit, per, ends = "potential", "N_mm", 1.0, [bounds.lower, bounds.upper]
     of = "potential, since the loads are not the curtain's weight downwards alone"
     if is_mean_height(problem):
         what, unit, per, of = "mean_height", "mm", float(np.abs(problem.force).sum()), "mean height"
-        ends = bounds_summary(level)["mean_height_mm"]
+        ends = bounds_summary(bounds)["mean_height_mm"]
     for_what = "this law: its rows are not known" if law is None else "the rings, between the laws inside and outside"
     return {
         f"{what}_interval_{unit}": ends,

@@ -169,11 +169,17 @@ class Hanging(Support):
 
 def edge_nodes(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> np.ndarray:
     """Node numbers on the named edge, ordered along it for straight ones; InputError if there is no such edge."""
-    facets = mesh.edge(name, where)
-    nodes = np.unique(mesh.mesh.facets[:, facets])
-    if disc.element == "P2":  # corners come first, then the middles of facets
-        nodes = np.concatenate([nodes, mesh.mesh.p.shape[1] + facets])
+    nodes = np.unique(facet_nodes(mesh, disc, mesh.edge(name, where)))
     return nodes[in_order(disc.nodes[nodes])]
+
+
+def facet_nodes(mesh: CurtainMesh, disc: Discretization, facets: np.ndarray) -> np.ndarray:
+    """Node numbers (2, k) at the ends of facets (k,), of P2 (3, k) with the middles; of the hybrid element see
+    `macro_fem.bounds.equilibrated`."""
+    if disc.element == "equilibrium":
+        return np.stack([2 * facets, 2 * facets + 1])
+    ends = mesh.mesh.facets[:, facets]
+    return np.vstack([ends, mesh.mesh.p.shape[1] + facets]) if disc.element == "P2" else ends
 
 
 def in_order(X: Array) -> np.ndarray:

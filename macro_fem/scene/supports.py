@@ -115,37 +115,25 @@ def build_supports(
         )
     lines = [(one.nodes, one.slide) for one in held if one.slide is not None]
     sliding = sliding_nodes(lines, np.asarray(stiff.all(axis=1)), scene.d)
-    straight = [bar for bar in scene.of(Bar) if bar.straight]
-    bars = _straight_bars(straight, scene, mesh, disc, mask) if straight else None
-    return Supports(held, mask, positions, sliding, Sliding.none(scene.d), bars)
+    return Supports(held, mask, positions, sliding, Sliding.none(scene.d), straight_bars(scene, mesh, disc, mask))
 
 
-def _straight_bars(
-    bars: list[Bar], scene: Scene, mesh: CurtainMesh, disc: Discretization, mask: np.ndarray
-) -> sparse.csc_matrix:
-    """Weights (n, n) that keep the nodes of every bar on a line."""
-    lines: list[np.ndarray] = []
-    for bar in bars:
+def straight_bars(scene: Scene, mesh: CurtainMesh, disc: Discretization, mask: np.ndarray) -> sparse.csc_matrix | None:
+    """Weights (n, n) that put the nodes of straight bars between their ends, x = (1 - s) x_first + s x_last; None
+    without bars. InputError for an edge that is bent, has components in the `mask` (n, d) of held ones, or two bars."""
+    X, ties, tied = disc.nodes, sparse.eye(disc.n_nodes, format="lil"), np.zeros(disc.n_nodes, bool)
+    for bar in (one for one in scene.of(Bar) if one.straight):
         nodes = edge_nodes(mesh, disc, bar.edge, f"{scene.source}: [load.bar] edge")
-        if mask[nodes].any() or any(np.isin(nodes, line).any() for line in lines):
+        if mask[nodes].any() or tied[nodes].any():
             raise InputError(f"{scene.source}: [load.bar] edge = {bar.edge!r}: is held, or has a second bar")
-        off = disc.nodes[nodes] - disc.nodes[nodes[0]]
+        off = X[nodes] - X[nodes[0]]
         if np.abs(cross(off, unit(off[-1])[:2])).max() > 1e-6 * mesh.size:
             raise InputError(f"{scene.source}: [load.bar] edge = {bar.edge!r}: is not straight, use straight = false")
-        lines.append(nodes)
-    return straight_ties(lines, disc.nodes)
-
-
-def straight_ties(lines: list[np.ndarray], X: Array) -> sparse.csc_matrix:
-    """Weights (n, n) that put the nodes of each line between its ends: x = (1 - s) x_first + s x_last."""
-    ties = sparse.eye(len(X), format="lil")
-    for nodes in lines:
-        first, inner, last = nodes[0], nodes[1:-1], nodes[-1]
-        along = X[last] - X[first]
-        s = (X[inner] - X[first]) @ along / (along @ along)
+        inner, s = nodes[1:-1], off[1:-1] @ off[-1] / (off[-1] @ off[-1])
         ties[inner, inner] = 0.0
-        ties[inner, first], ties[inner, last] = 1.0 - s, s
-    return ties.tocsc()
+        ties[inner, nodes[0]], ties[inner, nodes[-1]] = 1.0 - s, s
+        tied[nodes] = True
+    return ties.tocsc() if tied.any() else None
 
 
 def pin_sliding(supports: Supports, disc: Discretization, force: Array, source: object) -> Supports:

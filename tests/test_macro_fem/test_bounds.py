@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from homogenize.laws.net import diagonal_net
-from macro_fem.bounds.equilibrated import dual_mesh
+from macro_fem.bounds.equilibrated import dual_disc
 from macro_fem.bounds.interval import bound, levels, mark
 from macro_fem.curtain import solve_scene
 from macro_fem.fem.assembly import gradient, internal_force
@@ -88,16 +88,16 @@ def test_the_error_map_sums_to_the_gap(ring_like, scene_tables):
 def test_the_hybrid_gradient_is_exact_for_affine_fields_and_dual_to_equilibrium():
     scene = net_scene("aligned", 3)
     mesh = build_mesh(scene, None)
-    dual = dual_mesh(mesh)
+    disc = dual_disc(mesh)
     A = np.array([[1.3, -0.2], [0.4, 0.7]])
-    assert np.allclose(gradient(dual.disc, dual.disc.nodes @ A.T + 3.0), A, atol=1e-12)
+    assert np.allclose(gradient(disc, disc.nodes @ A.T + 3.0), A, atol=1e-12)
     # A linear stress with continuous tractions: P = [[y, x], [x, 2 y]], -div P = (0, -3)
     corners = mesh.mesh.p[:, mesh.mesh.t]  # (2, 3, n_cells)
     x, y = corners[0].ravel(), corners[1].ravel()
     P = np.stack([np.stack([y, x], axis=-1), np.stack([x, 2.0 * y], axis=-1)], axis=1)
-    force = internal_force(dual.disc, P)
+    force = internal_force(disc, P)
     n_facets = mesh.mesh.facets.shape[1]
-    area = 3.0 * dual.disc.weight[: dual.disc.n_cells]
+    area = 3.0 * disc.weight[: disc.n_cells]
     assert np.allclose(force[2 * n_facets :], area[:, None] * np.array([0.0, -3.0]), atol=1e-9)
     inner = np.setdiff1d(np.arange(n_facets), mesh.mesh.boundary_facets())
     assert np.abs(force[np.concatenate([2 * inner, 2 * inner + 1])]).max() < 1e-9
@@ -107,9 +107,9 @@ def test_the_hybrid_gradient_is_exact_for_affine_fields_and_dual_to_equilibrium(
 def test_refinement_follows_the_error(ring_like, scene_tables):
     scene = read_scene(scene_tables(mesh={"cells": 4}, support={"kind": "corners"}, solver={"adapt": 2}))
     found = list(levels(scene, ring_like))
-    first, second, third = (level.bounds.gap for level in found)
+    first, second, third = (level.gap for level in found)
     assert first > second > third
-    assert max(level.bounds.lower for level in found) <= min(level.bounds.upper for level in found)
+    assert max(level.lower for level in found) <= min(level.upper for level in found)
     assert found[2].solution.problem.disc.n_cells < 8 * found[0].solution.problem.disc.n_cells
     assert interval_line(interval_summary(found[2])).startswith("mean height of the law in [")
 

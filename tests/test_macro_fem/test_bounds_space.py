@@ -95,7 +95,7 @@ def test_refinement_in_space_closes_the_interval(ring_like, scene_tables):
     found = list(levels(hammock(scene_tables, [0.0, 90.0, 60.0], 4, adapt=1), ring_like))
     widths = []
     for level in found:
-        low, high = mean_height_bounds(level.solution, level.bounds)
+        low, high = mean_height_bounds(level.solution, level)
         assert low < exact < high
         widths.append(high - low)
     assert len(widths) == 2
@@ -162,8 +162,8 @@ def test_refinement_goes_with_a_wall(ring_like, scene_tables):
     assert len(found) == 2
     assert [level.solution.problem.disc.element for level in found] == ["P1", "P1"]
     assert found[-1].solution.wall_forces.sum() > 0.1 * 30.0 * 0.01
-    assert found[1].bounds.gap < found[0].bounds.gap
-    assert max(level.bounds.lower for level in found) < min(level.bounds.upper for level in found)
+    assert found[1].gap < found[0].gap
+    assert max(level.lower for level in found) < min(level.upper for level in found)
 
 
 @pytest.mark.slow

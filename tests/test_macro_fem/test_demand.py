@@ -67,7 +67,7 @@ def square(support="corners", cells=4, **tables):
 
 def interval(found):
     """Lower and upper bound of the potential of the last turn."""
-    return found.level.bounds.lower, found.level.bounds.upper
+    return found.level.lower, found.level.upper
 
 
 def test_a_quadratic_curtain_with_the_law_at_corners_is_admissible_everywhere_and_not_above_a_linear_one():
@@ -130,9 +130,9 @@ def test_the_interval_of_exactly_known_rings_holds_their_answer(known_rings):
     finer = square(cells=8, solver={"adapt": 1})
     law = law_interval(KNOWN.rows, cell=KNOWN.law.cell)
     *_, best = levels(finer, law.inner, law.outer)
-    assert low < best.bounds.upper
-    assert best.bounds.lower < high
-    assert low < best.bounds.lower + 1e-3 * scale
+    assert low < best.upper
+    assert best.lower < high
+    assert low < best.lower + 1e-3 * scale
     assert found.rings.solves == len(known_rings) < 60
     assert [turn.ring_solves for turn in found.turns] == sorted(turn.ring_solves for turn in found.turns)
 
@@ -314,7 +314,7 @@ def test_the_summary_tells_interval_parts_and_questions(known_rings, tmp_path):
     assert high - low <= 5.0
     assert summary["law_part_mm"] + summary["mesh_part_mm"] == pytest.approx(high - low)
     assert (summary["ring_solves"], summary["cache_hits"]) == (len(known_rings), 0)
-    assert summary["turns"][-1]["lower_N_mm"] == result.levels[-1].bounds.lower
+    assert summary["turns"][-1]["lower_N_mm"] == result.levels[-1].lower
     assert summary["turns"][-1]["wall_s"] == summary["wall_s"]
     assert "rings" in summary["interval"]
     assert {row["feature"]: "rings on demand" in row["why"] for row in summary["features"]}["bounds"]

@@ -75,9 +75,15 @@ class CurtainMesh:
         return float(np.hypot(*np.ptp(self.mesh.p, axis=1)))
 
     @property
+    def sides(self) -> Array:
+        """Every facet from its first to its second end (n_facets, 2), mm."""
+        first, second = self.mesh.p.T[self.mesh.facets]
+        return np.asarray(second - first)
+
+    @property
     def longest_side(self) -> float:
         """Length of the longest side of a cell, mm."""
-        return float(np.linalg.norm(np.diff(self.mesh.p[:, self.mesh.facets], axis=1), axis=0).max())
+        return float(np.hypot(*self.sides.T).max())
 
 
 def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
