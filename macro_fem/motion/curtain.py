@@ -15,8 +15,8 @@ from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
 from macro_fem.motion.pace import Failed, Frame, Mover
-from macro_fem.motion.stage import Contacts, forces_at, let_go, masses_of, scene_at, stored_energy, weights_of, winds_at
-from macro_fem.motion.step import Account, Moment, end_of, make_step, solve_step
+from macro_fem.motion.stage import Contacts, let_go, masses_of, scene_at, step_of, weights_of, winds_at
+from macro_fem.motion.step import Account, Moment, end_of, solve_step, stored_energy
 from macro_fem.output import strength
 from macro_fem.output.files import curtain_mesh
 from macro_fem.output.pictures import figures, side_by_side
@@ -106,15 +106,14 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             S, cones, forces = np.zeros((len(P), 3)), None, np.zeros_like(x)
         place = np.vstack([x, *[np.array([ball.at]) for ball in balls]])
         Contacts(problem, balls).check_start(place)
-        stored = 0.0 if self.is_rigid else stored_energy(problem, x)
-        moment, account = self.at_start(place, masses_of(problem, balls), weights_of(problem, balls), stored)
+        masses, weights = masses_of(problem, balls), weights_of(problem, balls)
+        moment, account = self.at_start(place, masses, weights, stored_energy(problem, x) or 0.0)
         return MotionFrame(moment=moment, account=account, P=P, S=S, supports=forces, problem=problem, cones=cones)
 
     def next_frame(self, frame: MotionFrame, before: Moment | None, h: float) -> MotionFrame:
         now, balls = frame.moment, self.balls
         problem, fem = self.at(now.t + h)
-        forces, n = forces_at(problem, balls, now, self.motion.damping), problem.disc.n_nodes
-        step = make_step(now, before, h, masses_of(problem, balls), forces)
+        step, n = step_of(problem, balls, now, before, h, self.motion.damping), problem.disc.n_nodes
         way = h * sum(float(np.linalg.norm(v, axis=1).max(initial=0.0)) for v in (now.v[:n], now.v[n:]))
         for reach in (way + REST, np.inf):
             contacts = Contacts(problem, balls, frame.problem, reach)
@@ -122,10 +121,10 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             _check(result, now.t + h)
             if max(contacts.depths(fem.positions(result.z)), default=0.0) <= TOUCHED * self.size + 1e-7 * reach:
                 break  # else points without a half-space are inside a ball
-        end, (moved, touched) = end_of(fem, step, result, walls), contacts.work(walls, result.wall_forces, now.x)
-        stored = None if self.is_rigid else stored_energy(problem, end.x)
+        moved, touched = contacts.work(walls, result.wall_forces, now.x)
+        end = replace(end_of(problem, fem, step, result, walls), moved=moved, touched=touched)
         return MotionFrame(
-            **step.finish(frame.account, replace(end, stored=stored, moved=moved, touched=touched)),
+            **step.finish(frame.account, end),
             iterations=result.iterations,
             P=result.P,
             S=result.S,

@@ -17,7 +17,7 @@ import numpy as np
 
 from macro_fem.motion.pace import Failed, Frame, Mover
 from macro_fem.motion.stage import TONNE, relative_wind, scene_at
-from macro_fem.motion.step import Account, Forces, Moment, StepEnd, make_step
+from macro_fem.motion.step import Account, Moment, StepEnd, TimeStep
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
 from macro_fem.scene.loads import PER_MM2, areal_mass
@@ -136,7 +136,7 @@ class MovingRings(Mover[RingFrame, RingScene]):
             force += own - (block @ now.v[:n, :, None])[:, :, 0] - (0.0 if wind.speed == 0.0 else blown)
         none = np.zeros((len(mass) - n, 3))
         resist = np.where(np.arange(len(mass)) < 2 * n, self.motion.damping, 0.0)  # not of balls
-        step = make_step(now, before, h, mass, Forces(dead, np.concatenate([force - dead[:n], none]), None, resist))
+        step = TimeStep(now, before, h, mass, dead, np.concatenate([force - dead[:n], none]), None, resist)
         damped = step.beta_h * resist[:, None]
         weight = mass * (1.0 + damped[:, 0]) / step.beta_h**2
         aim = (step.x_hat + damped * step.X) / (1.0 + damped)

@@ -9,9 +9,9 @@ import numpy as np
 from scipy import sparse
 
 from macro_fem.drag import wind_density
-from macro_fem.fem.assembly import gradient, load_vector
+from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import Points
-from macro_fem.motion.step import Forces, Moment
+from macro_fem.motion.step import Moment, TimeStep
 from macro_fem.problem import CurtainProblem, placed_obstacles, tangent_walls, touching_walls
 from macro_fem.scene.loads import BREEZE, PER_MM2, areal_mass, bar_masses, breeze, nodal_forces
 from macro_fem.scene.moving import Ball, at_time
@@ -19,7 +19,6 @@ from macro_fem.scene.obstacles import unit
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Timed, Wind
 from macro_fem.solution import CurtainSolution
-from macro_fem.solvers.cones import green_strain
 from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, InputError, digits
 
@@ -68,14 +67,10 @@ def weights_of(problem: CurtainProblem, balls: tuple[Ball, ...]) -> Array:
     return np.vstack([own, *[ball.mass * g[None] for ball in balls]])
 
 
-def stored_energy(problem: CurtainProblem, x: Array) -> float:
-    """The stored energy of an elastic curtain with its nodes, and maybe more, at x (n, d), N mm."""
-    E = green_strain(gradient(problem.disc, x))
-    return float(problem.disc.weight @ problem.elastic_law.response(E).energy)
-
-
-def forces_at(problem: CurtainProblem, balls: tuple[Ball, ...], now: Moment, damping: float) -> Forces:
-    """Forces on nodes and bodies at the end of a step; winds with a speed by the velocity relative to the mesh."""
+def step_of(
+    problem: CurtainProblem, balls: tuple[Ball, ...], now: Moment, before: Moment | None, h: float, damping: float
+) -> TimeStep:
+    """The step of nodes and bodies; winds with a speed press by the velocity relative to the mesh."""
     dead, n = weights_of(problem, balls), problem.disc.n_nodes
     live, drag = np.zeros_like(dead), None
     live[:n] = problem.dead - dead[:n]
@@ -84,7 +79,7 @@ def forces_at(problem: CurtainProblem, balls: tuple[Ball, ...], now: Moment, dam
         blown, drag[:n] = winds_at(problem, now)
         live[:n] += blown
     resist = np.where(np.arange(len(dead)) < n, damping, 0.0)  # not of bodies
-    return Forces(dead, live, drag, resist)
+    return TimeStep(now, before, h, masses_of(problem, balls), dead, live, drag, resist)
 
 
 def winds_at(problem: CurtainProblem, now: Moment) -> tuple[Array, Array]:

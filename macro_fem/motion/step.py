@@ -38,11 +38,11 @@ from typing import Any
 
 import numpy as np
 
-from macro_fem.fem.assembly import internal_force
+from macro_fem.fem.assembly import gradient, internal_force
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.problem import CurtainProblem
 from macro_fem.solvers.central_path import solve_path
-from macro_fem.solvers.cones import Cones
+from macro_fem.solvers.cones import Cones, green_strain
 from macro_fem.solvers.path import Inertia, PathOptions, PathResult, Terms, times
 from macro_fem.solvers.walls import Walls
 from rve.common import Array
@@ -61,24 +61,6 @@ def predicted(now: Moment, before: Moment | None, h: float) -> Array:
     """Positions (n, d) after a step h at the last acceleration, mm: x+ differs from them by a third power of h."""
     a = np.zeros_like(now.v) if before is None else (now.v - before.v) / (now.t - before.t)
     return now.x + h * now.v + 0.5 * h * h * a
-
-
-@dataclass(frozen=True, eq=False)
-class Forces:
-    """What acts on the nodes (n, d) at the end of a step, N.
-
-    dead: weight; live: other loads that do not depend on the velocity. drag: symmetric blocks C (n, d, d) in N s/mm of
-    forces -C v that belong to `live`; damping (n,) or one for all: 1/s, of forces -damping M v.
-    """
-
-    dead: Array
-    live: Array
-    drag: Array | None = None
-    damping: Array | float = 0.0
-
-    def live_at(self, v: Array) -> Array:
-        """Forces (n, d) beside the weight and damping at velocities v (n, d), N."""
-        return self.live if self.drag is None else self.live - times(self.drag, v)
 
 
 @dataclass(frozen=True)
@@ -117,23 +99,46 @@ class StepEnd:
     touched: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class TimeStep:
-    """A step of h s from `now` of nodes of masses (n,) in N s2/mm, under `forces` at its end, by its differences: beta
-    h in s, X (n, d) in mm and V (n, d) in mm/s, see above."""
+    """A step of h s from `now` of nodes of masses (n,) in N s2/mm under forces (n, d) in N at its end: Euler's without
+    a moment before, else BDF2's. beta_h in s, X (n, d) in mm and V (n, d) in mm/s are its differences, see above.
+
+    dead: weight; live: other loads that do not depend on the velocity. drag: symmetric blocks C (n, d, d) in N s/mm of
+    forces -C v that belong to `live`; damping (n,) or one for all: 1/s, of forces -damping M v.
+
+    >>> start, none = Moment(0.0, np.zeros((1, 2)), np.ones((1, 2))), np.zeros((1, 2))
+    >>> TimeStep(start, None, 0.5, np.ones(1), none, none).x_hat.tolist()
+    [[0.5, 0.5]]
+    """
 
     now: Moment
+    before: Moment | None
     h: float
     mass: Array
-    forces: Forces
-    beta_h: float
-    X: Array
-    V: Array
+    dead: Array
+    live: Array
+    drag: Array | None = None
+    damping: Array | float = 0.0
+
+    def __post_init__(self) -> None:
+        now, before = self.now, self.before
+        self.beta_h, self.X, self.V = self.h, now.x, now.v
+        if before is not None:
+            w = self.h / (now.t - before.t)
+            beta = (1.0 + w) / (1.0 + 2.0 * w)
+            own, old = beta * (1.0 + w), beta * w * w / (1.0 + w)
+            self.beta_h = beta * self.h
+            self.X, self.V = own * now.x - old * before.x, own * now.v - old * before.v
 
     @property
     def x_hat(self) -> Array:
         """X + beta h V (n, d): where nodes would go without forces, mm."""
         return self.X + self.beta_h * self.V
+
+    def live_at(self, v: Array) -> Array:
+        """Forces (n, d) beside the weight and damping at velocities v (n, d), N."""
+        return self.live if self.drag is None else self.live - times(self.drag, v)
 
     def velocity(self, x: Array) -> Array:
         """v+ (n, d) of positions x (n, d), mm/s."""
@@ -142,7 +147,7 @@ class TimeStep:
     @property
     def resist(self) -> Array:
         """Damping times the mass (n, 1), N s/mm."""
-        return (self.forces.damping * self.mass)[:, None]
+        return (self.damping * self.mass)[:, None]
 
     def momentum_rate(self, x: Array) -> Array:
         """M a+ (n, d) of positions x (n, d), N."""
@@ -151,14 +156,14 @@ class TimeStep:
     def unbalanced(self, x: Array) -> Array:
         """M a+ and damping less loads (n, d) at positions x (n, d), N: what supports, contacts and the law make up."""
         v = self.velocity(x)
-        return self.momentum_rate(x) + self.resist * v - self.forces.dead - self.forces.live_at(v)
+        return self.momentum_rate(x) + self.resist * v - self.dead - self.live_at(v)
 
     def inertia(self, fem: SupportedFem) -> Inertia:
         """The quadratic term: W x_hat = M (X + beta h V) / (beta h)^2 + (damping M + C) X / (beta h)."""
         d, m, b = self.X.shape[1], self.mass[:, None] / self.beta_h**2, 1.0 / self.beta_h
         resist = b * self.resist[:, :, None] * np.eye(d)
-        if self.forces.drag is not None:
-            resist = resist + b * self.forces.drag
+        if self.drag is not None:
+            resist = resist + b * self.drag
         W = m[:, :, None] * np.eye(d) + resist
         aim = m * self.x_hat + times(resist, self.X)
         x_hat: Array = np.linalg.solve(W, aim[:, :, None])[:, :, 0].astype(float)
@@ -178,9 +183,9 @@ class TimeStep:
         stored = 0.0 if end.stored is None else end.stored - last.stored
         account = Account(
             kinetic=kinetic,
-            potential=last.potential - float((self.forces.dead * dx).sum()),
+            potential=last.potential - float((self.dead * dx).sum()),
             stored=last.stored + stored,
-            work=last.work + float(((self.forces.live_at(v) + end.supports) * dx).sum()) + end.moved,
+            work=last.work + float(((self.live_at(v) + end.supports) * dx).sum()) + end.moved,
             lost_by_scheme=last.lost_by_scheme
             + float((self.momentum_rate(end.x) * dx).sum())
             - (kinetic - kinetic_energy(self.mass, self.now.v))
@@ -193,21 +198,6 @@ class TimeStep:
         push = end.pushes - (end.inner if is_rigid else 0.0)
         rebound = self.h * float((push * v).sum()) - end.moved
         return {"moment": Moment(self.now.t + self.h, end.x, v), "account": account, "rebound": rebound}
-
-
-def make_step(now: Moment, before: Moment | None, h: float, mass: Array, forces: Forces) -> TimeStep:
-    """The step of h s from `now`: Euler's without a moment before, else BDF2's.
-
-    >>> start, none = Moment(0.0, np.zeros((1, 2)), np.ones((1, 2))), np.zeros((1, 2))
-    >>> make_step(start, None, 0.5, np.ones(1), Forces(none, none)).x_hat.tolist()
-    [[0.5, 0.5]]
-    """
-    if before is None:
-        return TimeStep(now, h, mass, forces, h, now.x, now.v)
-    w = h / (now.t - before.t)
-    beta = (1.0 + w) / (1.0 + 2.0 * w)
-    own, old = beta * (1.0 + w), beta * w * w / (1.0 + w)
-    return TimeStep(now, h, mass, forces, beta * h, own * now.x - old * before.x, own * now.v - old * before.v)
 
 
 Tangents = Callable[[Array], Walls]
@@ -226,7 +216,7 @@ def solve_step(
     law, inertia, compliance = problem.law, step.inertia(fem), np.zeros((3, 3))
     if problem.scene.solver.is_elastic:
         law, compliance = problem.elastic_law, problem.elastic_law.compliance
-    load = fem.gather(step.forces.dead + step.forces.live)
+    load = fem.gather(step.dead + step.live)
     path = PathOptions(gap=GAP, violation=1e-9, cones=cones, drawn=False, first_gap=FIRST_GAP)
     place, walls = step.now.x, tangents(step.now.x)
     for rounds in range(1, ROUNDS + 1):
@@ -244,9 +234,17 @@ def solve_step(
     return result, walls
 
 
-def end_of(fem: SupportedFem, step: TimeStep, result: PathResult, walls: Walls) -> StepEnd:
-    """The end of the step of a rigid curtain, without what pushes have done."""
+def end_of(problem: CurtainProblem, fem: SupportedFem, step: TimeStep, result: PathResult, walls: Walls) -> StepEnd:
+    """The end of the step of a curtain, without what pushes have done."""
     x = fem.positions(result.z)
     pushes, inner = walls.nodal(result.wall_forces, len(x)), internal_force(fem.disc, result.P)
     supports = np.where(fem.held, step.unbalanced(x) + inner - pushes, 0.0)
-    return StepEnd(x, supports, pushes, inner)
+    return StepEnd(x, supports, pushes, inner, stored_energy(problem, x))
+
+
+def stored_energy(problem: CurtainProblem, x: Array) -> float | None:
+    """The stored energy of a curtain with its nodes, and maybe more, at x (n, d), N mm; None where rings are rigid."""
+    if not problem.scene.solver.is_elastic:
+        return None
+    E = green_strain(gradient(problem.disc, x))
+    return float(problem.disc.weight @ problem.elastic_law.response(E).energy)

@@ -1,7 +1,8 @@
 """One implicit step of a curtain: momentum, the energy account, rest, free fall, and the matrix of loose bodies."""
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -10,8 +11,7 @@ from scipy import sparse
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import Points
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
-from macro_fem.motion.stage import stored_energy
-from macro_fem.motion.step import Account, Forces, Moment, end_of, kinetic_energy, make_step, solve_step
+from macro_fem.motion.step import Account, Moment, TimeStep, end_of, kinetic_energy, solve_step
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.cones import green_strain
@@ -48,22 +48,19 @@ def untouched(x: np.ndarray) -> Walls:
     return Walls.none(x.shape[1])
 
 
-def advance(
-    moving: Moving, moments: list[Moment], forces: Forces, h: float, accounts: list[Account], tangents=untouched
-):
+def advance(moving: Moving, moments: list[Moment], forces: Sequence[Any], h: float, accounts, tangents=untouched):
     """The next moment and account, appended; the end of the step."""
     problem, fem, mass = moving
     now, before = moments[-1], moments[-2] if len(moments) > 1 else None
-    step = make_step(now, before, h, mass, forces)
+    step = TimeStep(now, before, h, mass, *forces)
     result, walls = solve_step(problem, fem, step, None, tangents)
     assert result.converged, result.message
-    end = end_of(fem, step, result, walls)
-    stored = stored_energy(problem, end.x) if problem.scene.solver.is_elastic else None
+    end = end_of(problem, fem, step, result, walls)
     touched = 0.0
     if len(walls):
         n = len(now.x) - 1
         touched = float(result.wall_forces @ (np.linalg.norm(now.x[:n] - now.x[n], axis=1) - walls.offset))
-    told = step.finish(accounts[-1], replace(end, stored=stored, touched=touched))
+    told = step.finish(accounts[-1], replace(end, touched=touched))
     accounts.append(told["account"])
     moments.append(told["moment"])
     return end
@@ -92,7 +89,7 @@ def test_a_thrown_ball_and_a_free_sheet_keep_momentum_and_close_the_account(elas
     x = np.vstack([X, [140.0, 170.0, 41.0]])
     v = np.zeros_like(x)
     v[-1] = [200.0, 0.0, -3000.0]
-    nothing = Forces(np.zeros_like(x), np.zeros_like(x))
+    nothing = np.zeros_like(x), np.zeros_like(x)
     moments, accounts = [Moment(0.0, x, v)], [Account(kinetic=kinetic_energy(moving.mass, v))]
     p = moving.mass @ v
     for _ in range(4):
@@ -110,7 +107,7 @@ def angular_momenta(
     moving: Moving, x: np.ndarray, v: np.ndarray, h: float, *, tangents=untouched, euler=False
 ) -> np.ndarray:
     """Angular momenta (steps + 1, 3) about the origin over 48 ms in which nothing acts."""
-    nothing = Forces(np.zeros_like(x), np.zeros_like(x))
+    nothing = np.zeros_like(x), np.zeros_like(x)
     moments, accounts = [Moment(0.0, x, v)], [Account(kinetic=kinetic_energy(moving.mass, v))]
     for _ in range(round(0.048 / h)):
         known = moments[-1:] if euler else moments[-2:]
@@ -154,7 +151,7 @@ def test_angular_momentum_through_the_impact_of_a_ball_is_kept_to_first_order_an
 def test_damping_takes_what_its_formula_says_and_rest_stays_rest(speed):
     moving, X = free_sheet()
     v = np.tile([0.0, 0.0, speed], (len(X), 1))
-    damped = Forces(np.zeros_like(X), np.zeros_like(X), damping=4.0)
+    damped = np.zeros_like(X), np.zeros_like(X), None, 4.0
     moments, accounts = [Moment(0.0, 0.9 * X, v)], [Account(kinetic=kinetic_energy(moving.mass, v))]
     for _ in range(20):
         advance(moving, moments, damped, 5e-3, accounts)
@@ -193,7 +190,7 @@ def test_an_answer_of_a_step_has_a_gap_and_no_better_neighbour():
     rng = np.random.default_rng(5)
     moving, X = free_sheet(cells=3)
     v = rng.normal(scale=2000.0, size=X.shape)
-    step = make_step(Moment(0.0, X, v), None, 0.02, moving.mass, Forces(np.zeros_like(X), np.zeros_like(X)))
+    step = TimeStep(Moment(0.0, X, v), None, 0.02, moving.mass, np.zeros_like(X), np.zeros_like(X))
     result, _ = solve_step(moving.problem, moving.fem, step, None, untouched)
     end = moving.fem.positions(result.z)
     assert 0.0 <= result.evidence.gap < 1e-8
