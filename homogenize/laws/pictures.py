@@ -87,8 +87,8 @@ def solid_axes(ax: Any) -> Any:
 def _plot_locking(law: MembraneLaw, ax: Any) -> None:
     """The locking surface over the strains that loads along the axes allow."""
     along, across = law.support(UNIAXIAL)
-    shear = float(law.support(np.array([[0.5, 0.5, 0.5]]))[0] - law.support(np.array([[0.5, 0.0, 0.5]]))[0])
-    grid = np.meshgrid(np.linspace(-across - 0.1, along + 0.1, 60), np.linspace(-1.0, 1.0, 61) * (shear + 0.1))
+    low, mid, high = law.support(np.array([[0.5, -0.5, 0.5], [0.5, 0.0, 0.5], [0.5, 0.5, 0.5]]))
+    grid = np.meshgrid(np.linspace(-across - 0.1, along + 0.1, 60), np.linspace(mid - low - 0.1, high - mid + 0.1, 61))
     E = np.moveaxis(locking_surface(law, *grid), -1, 0)
     ax.plot_surface(*E, cmap="cividis", linewidth=0.2, edgecolor="0.3", rcount=30, ccount=30)
     ax.set(xlabel="E11", ylabel="E12", zlabel="E22", title="Strain space: locking surface")

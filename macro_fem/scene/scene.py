@@ -174,11 +174,11 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
 
 def _from_dxf(curtain: dict[str, Any], source: Path) -> dict[str, Any]:
     """The table of an outline in place of one that names a DXF file."""
-    file = curtain.get("file")
+    file = curtain.pop("file", None)
     if not isinstance(file, str) or not file:
         raise InputError(f'{source}: [curtain] file: is missing; shape = "dxf" names the file of the outline')
-    rest = {key: value for key, value in curtain.items() if key not in ("shape", "file")}
-    return {"shape": "outline"} | read_outline(source.parent / file) | rest
+    refuse_unknown(curtain, ("shape", "weave_angle", "areal_mass"), f"{source}: [curtain] of a DXF file")
+    return curtain | read_outline(source.parent / file) | {"shape": "outline"}
 
 
 def read_records(

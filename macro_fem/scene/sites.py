@@ -145,8 +145,8 @@ class Hanging(Support):
         assert self.pitch is not None
         return round(min(length / self.pitch, 1e9))
 
-    def hook_places(self, lines: list[Line], where: str) -> tuple[Array, tuple[float, float]]:
-        """Places (k, 2) of hooks, even from end to end of the lines of the top edge; the longest and its pitch, mm.
+    def hook_places(self, lines: list[Line], where: str) -> tuple[Array, list[float]]:
+        """Places (k, 2) of hooks, even from end to end of the lines of the top edge; the longest line and pitch, mm.
 
         InputError for a pitch that is longer than the edge, or finer than its facets.
         """
@@ -164,7 +164,7 @@ class Hanging(Support):
                 )
             fitted.append((length, length / number))
             found.append(line.at(np.linspace(0.0, length, number + 1)[: number if line.is_closed else None]))
-        return np.concatenate(found), max(fitted)
+        return np.concatenate(found), np.max(fitted, axis=0).tolist()
 
 
 def edge_nodes(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> np.ndarray:

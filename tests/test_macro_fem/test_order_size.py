@@ -144,7 +144,7 @@ def test_the_largest_pitch_divides_the_edge_and_the_next_one_does_not_hold(tmp_p
 
 @pytest.mark.slow
 def test_an_outline_goes_to_cad_and_back(tmp_path):
-    """A pentagon with a hole: the same area and corners, and refusals in a sentence."""
+    """A pentagon with a hole: the same area and corners, round holes, layers that are off, refusals in a sentence."""
     import ezdxf
 
     outline = [[0.0, 0.0], [100.0, 0.0], [100.0, 60.0], [50.0, 100.0], [0.0, 60.0]]
@@ -159,25 +159,25 @@ def test_an_outline_goes_to_cad_and_back(tmp_path):
     cut.append(cut[0])  # closed by its corners
     cut.closed = False
     panel.saveas(tmp_path / "panel.dxf")
+    panel.layers.add("NOTES").off()
     panel.modelspace().add_circle((20, 20), 5)
-    panel.saveas(tmp_path / "circle.dxf")
+    panel.modelspace().add_circle((20, 20), 500, dxfattribs={"layer": "NOTES"})
+    panel.saveas(tmp_path / "round.dxf")
     read = {"shape": "dxf", "file": "panel.dxf", "weave_angle": 10.0}
     scene = macro_fem.read_scene({"curtain": read, **tables}, tmp_path / "scene.toml")
     assert scene.curtain.weave_angle == 10.0
     assert solve(scene).summary["mass_kg"] == pytest.approx(first.summary["mass_kg"], rel=1e-9)
     assert {tuple(corner) for corner in hole} <= {tuple(map(float, one)) for one in scene.curtain.holes[0]}
-    drawing = ezdxf.new(units=ezdxf.units.MM)
-    drawing.modelspace().add_lwpolyline([(0, 0, 0.5), (9, 0, 0.0), (9, 9, 0.0)], format="xyb", close=True)
-    drawing.saveas(tmp_path / "round.dxf")
+    scene = macro_fem.read_scene({"curtain": read | {"file": "round.dxf"}, **tables}, tmp_path / "scene.toml")
+    assert solve(scene).summary["mass_kg"] == pytest.approx((1 - math.pi / 312) * first.summary["mass_kg"], rel=1e-4)
     for name, unit in (("empty", 0), ("inches", 1)):
         ezdxf.new(units=unit).saveas(tmp_path / f"{name}.dxf")
     for name, text in (("words", "no drawing"), ("cut", (tmp_path / "panel.dxf").read_text()[:300])):
         (tmp_path / f"{name}.dxf").write_text(text)
-    refused = {"round": "closed polylines .* no arcs", "circle": "circles", "empty": "needs closed polylines"}
-    refused |= dict.fromkeys(("words", "cut", "none"), "cannot be read as DXF")
-    refused |= {"inches": "the unit inches", "": "file: is missing"}
+    refused = {"empty": "needs closed curves"} | dict.fromkeys(("words", "cut", "none"), "cannot be read as DXF")
+    refused |= {"inches": "the unit inches", "": "file: is missing", "panel": "holes = .*: unknown key"}
     for name, words in refused.items():
-        curtain = {"shape": "dxf"} | ({"file": f"{name}.dxf"} if name else {})
+        curtain = {"shape": "dxf", "file": name and f"{name}.dxf"} | ({"holes": []} if name == "panel" else {})
         with pytest.raises(InputError, match=words):
             macro_fem.read_scene({"curtain": curtain, **tables}, tmp_path / "scene.toml")
 

@@ -39,7 +39,7 @@ CLEARANCE = 0.55
 
 @dataclass(frozen=True, eq=False)
 class HookRow:
-    """The hooks of one support: their nodes (k,), the longest line of the edge and the pitch that fits it, mm."""
+    """The hooks of one support: their nodes (k,), the longest line of the edge and the longest pitch, mm."""
 
     nodes: np.ndarray
     length: float

@@ -109,33 +109,33 @@ def _check_sides(mesh: Any) -> None:
             raise InputError(f"the point ({x:g}, {y:g}) lies on the side of a cell that it is no corner of")
 
 
-def read_outline(path: Path) -> dict[str, Any]:
-    """Keys `outline` and `holes` of a shape from the closed polylines of a DXF file in mm: the largest is the outline.
+ROUND = 1e-4
+"""Curves of a DXF file become chords that leave them by about this part of the size of the drawing."""
 
-    InputError without ezdxf, for no such file, one in another unit, without closed polylines, and with round curves.
+
+def read_outline(path: Path) -> dict[str, Any]:
+    """Keys `outline` and `holes` of a shape from the closed curves of a DXF file in mm: the largest is the outline.
+
+    Layers that are off or frozen are left out. InputError without ezdxf, for no such file, another unit, no curves.
     """
     require("ezdxf", "cad", "a DXF outline", "give its corners as outline")
-    import ezdxf.units
+    import ezdxf.path
 
     try:
         drawing = ezdxf.readfile(path)
-        lines: list[Any] = [*drawing.modelspace().query("LWPOLYLINE POLYLINE")]
-        is_round = bool(drawing.modelspace().query("CIRCLE ELLIPSE SPLINE"))
+        hidden = {layer.dxf.name.lower() for layer in drawing.layers if layer.is_off() or layer.is_frozen()}
+        curves = drawing.modelspace().query("LWPOLYLINE POLYLINE CIRCLE ELLIPSE SPLINE")
+        ways = [ezdxf.path.make_path(one) for one in curves if one.dxf.layer.lower() not in hidden]
+        ways = [way for way in ways if len(way) and way.is_closed]
+        chord = ROUND * max(ezdxf.path.bbox(ways).size) if ways else 0.0
+        rings = [[(x, y) for x, y, _ in way.flattening(chord)][:-1] for way in ways]
     except Exception as error:  # ezdxf raises whatever damaged data leads to
         what = str(error).split("\n")[0] or "it is damaged or cut off"
         raise InputError(f"{path}: cannot be read as DXF: {what}") from error
     if drawing.units not in (0, ezdxf.units.MM):
         raise InputError(f"{path}: states the unit {ezdxf.units.unit_name(drawing.units).lower()}, it must be mm")
-    rings = []
-    for line in lines:
-        ring = [(float(x), float(y)) for x, y, *_ in line.vertices_in_wcs()]
-        is_back = len(ring) > 3 and ring[-1] == ring[0]  # closed by its corners
-        if is_back or (line.closed if line.dxftype() == "LWPOLYLINE" else line.is_closed):
-            rings.append(ring[:-1] if is_back else ring)
-            is_round |= line.has_arc
-    if not rings or is_round:
-        what = "of straight sides, no arcs, circles, ellipses and splines"
-        raise InputError(f"{path}: needs closed polylines (LWPOLYLINE or POLYLINE) {what}")
+    if not rings:
+        raise InputError(f"{path}: needs closed curves: polylines, circles, ellipses or splines")
     outline, *holes = sorted(rings, key=lambda ring: -abs(signed_areas(np.array(ring))))
     return {"outline": outline, "holes": holes}
 
