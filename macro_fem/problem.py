@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from homogenize import MembraneLaw
 from macro_fem.fem.assembly import load_vector
-from macro_fem.fem.discretization import Discretization, Points, discretize
+from macro_fem.fem.discretization import Discretization, discretize
 from macro_fem.fem.hung_law import HungLaw
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.loads import nodal_forces, wind_per_area
@@ -99,7 +100,7 @@ def make_problem(
         supports = pin_sliding(supports, disc, force, scene.source)
     hung = HungLaw.at(law, scene.curtain.weave_angle)
     fem = supports.fem(disc)
-    problem = CurtainProblem(scene, mesh, disc, hung, supports, fem, force, Walls.none(fem.d), factor)
+    problem = CurtainProblem(scene, mesh, disc, hung, supports, fem, force, Walls.none(fem.x_held.shape), factor)
     winds = tuple(wind for wind in scene.of(Wind) if wind.is_shaped and fem.d == 3)
     if winds:
         flat = sum((wind_per_area(wind, scene, law.cell) for wind in winds if not wind.follows), np.zeros(3))
@@ -162,11 +163,11 @@ def tangent_walls(body: PlacedObstacle, fem: SupportedFem, x: Array) -> Walls:
     at, item = fem.disc.hull, body.obstacle
     if isinstance(item, Body):
         at = fem.disc.meeting if item.clear == "cells" else fem.disc.at_nodes
-    at = at.take(np.flatnonzero((np.not_equal(at.share, 0.0) & ~np.all(fem.held, axis=1)[at.node]).any(axis=1)))
-    return touching_walls(body, at, at.places(x))
+    at = at[np.flatnonzero(abs(at) @ ~np.all(fem.held, axis=1))]
+    return touching_walls(body, at, at @ x)
 
 
-def touching_walls(body: PlacedObstacle, at: Points, places: Array, radius: Array | float = 0.0) -> Walls:
+def touching_walls(body: PlacedObstacle, at: csr_matrix, places: Array, radius: Array | float = 0.0) -> Walls:
     """The half-spaces of points at places (m, d) that touch a body where it is closest to each, a radius (m,) off."""
     normal = body.normal(places)
     return Walls(at, normal, body.offset(normal) + radius, np.full(len(places), body.number))

@@ -163,14 +163,12 @@ class _Watch:
         disc, half = problem.disc, min([body.obstacle.breadth for body in problem.bodies], default=np.inf)
         fine = max(FINE, math.ceil(3.0 * problem.mesh.longest_side / half))
         lattice = disc.lattice if fine == FINE else disc.lattice_of(fine)
-        is_held = np.isin(lattice.node, np.flatnonzero(problem.fem.held.any(axis=1)))
-        is_held = (is_held & (lattice.share != 0.0)).any(axis=1)
-        self.lattice = lattice.take(np.flatnonzero(~is_held))
+        self.lattice = lattice[np.flatnonzero(abs(lattice) @ problem.fem.held.any(axis=1) == 0.0)]
         self.deepest = deepest
 
     def look(self, bodies: Sequence[PlacedObstacle], before: Array, after: Array) -> None:
         """Look at straight ways between two shapes (n_nodes, d)."""
-        start, end = self.lattice.places(before), self.lattice.places(after)
+        start, end = self.lattice @ before, self.lattice @ after
         way = np.linalg.norm(end - start, axis=1)
         for body in bodies:
             half = body.obstacle.breadth
@@ -195,7 +193,7 @@ def _first(problem: CurtainProblem, solve: Solve) -> CurtainSolution:
         found = replace(found, x=x)
     for body in problem.bodies:
         here = replace(body, factor=0.0)
-        deep = -float(here.gap(disc.lattice.places(found.x)).min())
+        deep = -float(here.gap(disc.lattice @ found.x).min())
         if deep > TOUCHED * problem.mesh.size:
             raise InputError(
                 f"{scene.source}: [obstacle] {body.obstacle.name}: the curtain is up to {digits(deep, 4)} mm inside it "
@@ -227,8 +225,8 @@ def _measure_settling(
         of_body = walls.owner == body.number
         own, push = walls.take(of_body), found.wall_forces[of_body]
         misfit += float(push @ np.linalg.norm(now.normal - own.normal, axis=1))
-        product += float(push @ np.abs(body.gap(own.at.places(x))))
-        inside = max(0.0, -float(body.gap(problem.disc.lattice.places(x)).min()))
+        product += float(push @ np.abs(body.gap(own.at @ x)))
+        inside = max(0.0, -float(body.gap(problem.disc.lattice @ x).min()))
         deepest, depth = max(deepest, inside), max(depth, inside / body.obstacle.breadth)
     product /= total * problem.mesh.size
     return Settling(0, misfit / total, product, settled, deepest, depth, is_wind=not problem.bodies)

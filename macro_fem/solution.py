@@ -97,7 +97,7 @@ class CurtainSolution(Judged):
     @cached_property
     def pushes(self) -> Array:
         """Forces of floors, walls and bodies on the nodes (n_nodes, d), N."""
-        return self.problem.walls.nodal(self.wall_forces, len(self.x))
+        return self.problem.walls.nodal(self.wall_forces)
 
     @property
     def _total(self) -> float:

@@ -25,7 +25,7 @@ import numpy as np
 
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import in_space_of
-from macro_fem.fem.discretization import Discretization, Points, discretize
+from macro_fem.fem.discretization import Discretization, discretize
 from macro_fem.fem.hung_law import largest_stretch
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.problem import CurtainProblem
@@ -161,6 +161,6 @@ def _walls(walls: Walls, disc: Discretization) -> Walls:
     The law of the continuous curtain has them at all points, so that any pushes, even in every triangle, give a bound.
     """
     planes, n_cells = np.unique(np.column_stack([walls.normal, walls.offset]), axis=0), disc.n_cells
-    middles = Points.of(np.tile(np.arange(disc.n_nodes - n_cells, disc.n_nodes), len(planes)))
+    middles = disc.at_nodes[np.tile(np.arange(disc.n_nodes - n_cells, disc.n_nodes), len(planes))]
     even = np.repeat(planes, n_cells, axis=0)
     return Walls(middles, even[:, :-1], even[:, -1], np.zeros(len(even), int))

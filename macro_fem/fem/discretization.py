@@ -1,6 +1,7 @@
 """A mesh of triangles and an element as arrays: nodes, cells, quadrature points, shape functions and areas.
 
-The point p is the leading axis, p = q * n_cells + cell for quadrature point q. Nodal fields are (n_nodes, d).
+The point p is the leading axis, p = q * n_cells + cell for quadrature point q. Nodal fields are (n_nodes, d). Other
+points of cells are rows (m, n_nodes) of shares of the nodes: for nodes at x (n_nodes, d) they are at points @ x.
 
 Example:
     >>> disc = discretize(skfem.MeshTri.init_tensor(np.linspace(0, 2, 5), np.linspace(0, 1, 3)), "P2")
@@ -16,8 +17,9 @@ from typing import Any
 
 import numpy as np
 import skfem
+from scipy import sparse
 
-from rve.common import Array, Rows
+from rve.common import Array
 from rve.common.records import Index
 
 ELEMENTS: dict[str, tuple[Any, int]] = {"P1": (skfem.ElementTriP1, 0), "P2": (skfem.ElementTriP2, 2)}
@@ -31,31 +33,6 @@ CONTROL = np.block(
     [[np.eye(3), np.zeros((3, 3))], [-0.5 * (np.eye(3) + np.roll(np.eye(3), 1, axis=1)), 2.0 * np.eye(3)]]
 )
 """Control points of P2 (6, 6) as sums of its nodes: corners, then middles of sides."""
-
-
-@dataclass(frozen=True, eq=False)
-class Points(Rows):
-    """Points x = sum of share times node, each between the nodes of one cell: node and share (m, k)."""
-
-    node: Index
-    share: Array
-
-    def __len__(self) -> int:
-        return len(self.node)
-
-    def places(self, x: Array) -> Array:
-        """Places (m, d) of the points for nodes at x (n_nodes, d)."""
-        return np.asarray((self.share[:, :, None] * x[self.node]).sum(axis=1))
-
-    @classmethod
-    def of(cls, nodes: Index) -> Points:
-        """The nodes (m,) themselves."""
-        return cls(nodes[:, None], np.ones((len(nodes), 1)))
-
-    def widened(self, k: int) -> Points:
-        """The same points with k nodes each, further ones without a share."""
-        more = ((0, 0), (0, k - self.node.shape[1]))
-        return Points(np.pad(self.node, more), np.pad(self.share, more))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,35 +91,35 @@ class Discretization:
         return np.asarray(self.weight.reshape(self.n_quad, self.n_cells).sum(axis=0))
 
     @cached_property
-    def at_nodes(self) -> Points:
+    def at_nodes(self) -> sparse.csr_matrix:
         """The nodes themselves."""
-        return Points.of(np.arange(self.n_nodes))
+        return sparse.eye(self.n_nodes, format="csr")
 
     @cached_property
-    def hull(self) -> Points:
+    def hull(self) -> sparse.csr_matrix:
         """Points whose convex hull holds all cells: nodes of P1, Bernstein coefficients of P2."""
         return self.at_nodes if self.element == "P1" else self._points_of(CONTROL)
 
     @cached_property
-    def meeting(self) -> Points:
+    def meeting(self) -> sparse.csr_matrix:
         """Where the mesh meets bodies: corners, middles of sides and middles of cells."""
         return self.points_at(MEETS)
 
     @cached_property
-    def lattice(self) -> Points:
+    def lattice(self) -> sparse.csr_matrix:
         """Points in all cells, FINE along a side."""
         return self.lattice_of(FINE)
 
-    def lattice_of(self, fine: int) -> Points:
+    def lattice_of(self, fine: int) -> sparse.csr_matrix:
         """Points in all cells that cut every side into `fine` parts."""
         X = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, fine + 1)] * 2)).reshape(2, -1)
         return self.points_at(X[:, X.sum(axis=0) < 1.0 + 1e-9])
 
-    def points_at(self, X: Array) -> Points:
+    def points_at(self, X: Array) -> sparse.csr_matrix:
         """The points of all cells at the places X (2, n) of the reference element, those that cells share once."""
         return self._points_of(reference_shapes(ELEMENTS[self.element][0](), X, self.cell_dofs.shape[1])[0])
 
-    def _points_of(self, shape: Array) -> Points:
+    def _points_of(self, shape: Array) -> sparse.csr_matrix:
         """The points of all cells with weights `shape` (n, n_local) of a cell's nodes, those that cells share once."""
         share = np.repeat(np.where(np.abs(shape) > 1e-12, shape, 0.0), self.n_cells, axis=0)
         node = np.where(share != 0.0, np.tile(self.cell_dofs, (len(shape), 1)), -1)
@@ -151,7 +128,10 @@ class Discretization:
         key = np.concatenate([node, np.rint(1e6 * share).astype(np.int64)], axis=1)
         first = np.sort(np.unique(key, axis=0, return_index=True)[1])
         node, share = node[first][:, ::-1], share[first][:, ::-1]
-        return Points(np.maximum(node, 0), share)
+        start = node.shape[1] * np.arange(len(first) + 1)
+        points = sparse.csr_matrix((share.ravel(), np.maximum(node, 0).ravel(), start), (len(first), self.n_nodes))
+        points.eliminate_zeros()
+        return points
 
     def cell_mean(self, values: Array) -> Array:
         """The area mean in each cell (n_cells, ...) of values at the points (n_points, ...)."""

@@ -174,7 +174,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             blown -= times(blocks, frame.moment.v[:n])
             wind = (blown / load_vector(problem.disc, np.array([1.0])))[problem.disc.cell_dofs].mean(axis=1)
             dead -= load_vector(problem.disc, wind)
-        told = replace(problem, scene=scene, dead=dead, wind=wind, walls=Walls.none(problem.fem.d))
+        told = replace(problem, scene=scene, dead=dead, wind=wind, walls=Walls.none(problem.force.shape))
         inner, asked = InnerForces(frame.P, frame.S, 0.0, np.zeros(0)), Evidence(1.0, 1.0, 1.0)
         return CurtainSolution(told, "converged", asked, frame.moment.x[:n], inner, 0.0, 0.0, frame.iterations, 0.0)
 

@@ -10,7 +10,6 @@ from scipy import sparse
 
 from macro_fem.drag import wind_density
 from macro_fem.fem.assembly import load_vector
-from macro_fem.fem.discretization import Points
 from macro_fem.motion.step import Moment, TimeStep
 from macro_fem.problem import CurtainProblem, placed_obstacles, tangent_walls, touching_walls
 from macro_fem.scene.loads import BREEZE, PER_MM2, areal_mass, bar_masses, breeze, nodal_forces
@@ -136,36 +135,31 @@ class Contacts:
         return Walls.joined([*placed, *self._of_balls(x), *self._between(x[self.n :])])
 
     def _of_balls(self, x: Array) -> list[Walls]:
-        points, found = self.problem.disc.meeting, []
-        at = points.places(x[: self.n])
+        points, found, centre = self.problem.disc.meeting, [], np.eye(len(self.balls))
+        at = points @ x[: self.n]
         for k, ball in enumerate(self.balls):
             away = at - x[self.n + k]
             distance = np.linalg.norm(away, axis=1)
             near = self.near.setdefault(k, np.flatnonzero(distance < ball.radius + REACH * self.way))
-            node = np.column_stack([points.node[near], np.full(len(near), self.n + k)])
-            share = np.column_stack([points.share[near], np.full(len(near), -1.0)])
+            less = sparse.hstack([points[near], np.tile(-centre[k], (len(near), 1))], format="csr")
             normal = away[near] / np.maximum(distance[near], 1e-300)[:, None]
             owner = np.full(len(near), -1 - k)
-            found.append(Walls(Points(node, share), normal, np.full(len(near), ball.radius), owner))
+            found.append(Walls(less, normal, np.full(len(near), ball.radius), owner))
         return found
 
     def _between(self, centres: Array) -> list[Walls]:
         """Half-spaces that keep balls with these centres (b, d) off obstacles and each other."""
-        number = np.arange(len(self.balls))
-        radius = np.array([ball.radius for ball in self.balls])
-        found = list[Walls]()
-        for one in self.obstacles if self.balls else ():
-            at = Points(self.n + number[:, None], np.ones((len(number), 1)))
-            found.append(touching_walls(one, at, centres, radius))
-        i, j = (np.asarray(one) for one in np.triu_indices(len(number), 1))
+        count, radius = len(self.balls), np.array([ball.radius for ball in self.balls])
+        at = sparse.eye(count, self.n + count, self.n, format="csr")
+        found = [touching_walls(one, at, centres, radius) for one in self.obstacles if count]
+        i, j = (np.asarray(one) for one in np.triu_indices(count, 1))
         away = centres[i] - centres[j]
         normal = away / np.maximum(np.linalg.norm(away, axis=1), 1e-300)[:, None]
-        at = Points(self.n + np.column_stack([i, j]), np.tile([1.0, -1.0], (len(i), 1)))
-        return [*found, Walls(at, normal, radius[i] + radius[j], -1 - i)]
+        return [*found, Walls(at[i] - at[j], normal, radius[i] + radius[j], -1 - i)]
 
     def depths(self, x: Array) -> list[float]:
         """Largest depth of points of the curtain inside each ball, mm; negative where all are outside."""
-        at = self.problem.disc.meeting.places(x[: self.n])
+        at = self.problem.disc.meeting @ x[: self.n]
         pairs = zip(self.balls, x[self.n :], strict=True)
         return [ball.radius - float(np.linalg.norm(at - centre, axis=1).min()) for ball, centre in pairs]
 
@@ -190,12 +184,12 @@ class Contacts:
             which = np.flatnonzero(walls.owner == number)
             own, push = walls.take(which), force[which]
             if number < 0:
-                touched += float(push @ (np.linalg.norm(own.at.places(x), axis=1) - own.offset))
+                touched += float(push @ (np.linalg.norm(own.at @ x, axis=1) - own.offset))
                 continue
             old, new = before[number], self.obstacles[number]
             offset = new.offset(own.normal)  # less than a ball's by its radius
             moved += float(push @ (offset - old.offset(own.normal)))
-            touched += float(push @ (old.gap(own.at.places(x)) - (own.offset - offset)))
+            touched += float(push @ (old.gap(own.at @ x) - (own.offset - offset)))
         return moved, touched
 
 
@@ -203,19 +197,16 @@ def pushed_points(solution: CurtainSolution, carries: float) -> tuple[sparse.csr
     """Of small motions w of the nodes in space (3 n_nodes,): rows normal.w of the points that obstacles push, by more
     than this part of the largest push, and the matrix of pushes times how the normals turn there, N/mm."""
     problem, walls, force = solution.problem, solution.problem.walls, solution.wall_forces
-    n = 3 * problem.disc.n_nodes
     which = np.flatnonzero(force > carries * force.max(initial=0.0))
+    walls, force, n = walls.take(which), force[which], 3 * problem.disc.n_nodes
     if not len(which):
-        return sparse.csr_matrix((0, n)), sparse.csr_matrix((n, n))
-    walls, force = walls.take(which), force[which]
-    rows = walls.matrix(n // 3)
+        return walls.matrix, sparse.csr_matrix((n, n))
+    rows = walls.matrix
     rows = sparse.csr_matrix(sparse.diags(1.0 / sparse.linalg.norm(rows, axis=1)) @ rows)
-    turn, at, step = np.zeros((len(which), 3, 3)), walls.at.places(solution.x), TURN * problem.mesh.size
+    turn, at, step = np.zeros((len(which), 3, 3)), walls.at @ solution.x, TURN * problem.mesh.size
     for one in placed_obstacles(problem):
         own = np.flatnonzero(walls.owner == one.number)
         for axis, way in enumerate(step * np.eye(3)):
             turn[own, :, axis] = (one.normal(at[own] + way) - one.normal(at[own] - way)) / (2.0 * step)
-    node, share = walls.at.node, walls.at.share
-    row = np.repeat(np.arange(len(which)), node.shape[1])
-    G = sparse.kron(sparse.csr_matrix((share.ravel(), (row, node.ravel())), shape=(len(which), n // 3)), sparse.eye(3))
+    G = sparse.kron(walls.at, sparse.eye(3))
     return rows, sparse.csr_matrix(G.T @ sparse.block_diag(force[:, None, None] * turn) @ G)

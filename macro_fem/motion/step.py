@@ -237,7 +237,7 @@ def solve_step(
 def end_of(problem: CurtainProblem, fem: SupportedFem, step: TimeStep, result: PathResult, walls: Walls) -> StepEnd:
     """The end of the step of a curtain, without what pushes have done."""
     x = fem.positions(result.z)
-    pushes, inner = walls.nodal(result.wall_forces, len(x)), internal_force(fem.disc, result.P)
+    pushes, inner = walls.nodal(result.wall_forces), internal_force(fem.disc, result.P)
     supports = np.where(fem.held, step.unbalanced(x) + inner - pushes, 0.0)
     return StepEnd(x, supports, pushes, inner, stored_energy(problem, x))
 

@@ -127,9 +127,9 @@ def support_rows(supports: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[
 
 def pushes_of(solution: CurtainSolution, number: int) -> Array:
     """Pushes (n_nodes, 3) of obstacle `number` of the scene on the nodes of the curtain, N."""
-    walls, n = solution.problem.walls, solution.problem.disc.n_nodes
+    walls = solution.problem.walls
     own = walls.owner == number
-    return padded(walls.take(own).nodal(solution.wall_forces[own], n))
+    return padded(walls.take(own).nodal(solution.wall_forces[own]))
 
 
 def obstacle_forces(solution: CurtainSolution) -> list[dict[str, Any]]:

@@ -115,7 +115,7 @@ def solve_path(
         R=compliance_root(terms.compliance),
         scale=loads * size + (0.0 if inertia is None else inertia.energy_scale),
         total=loads + (0.0 if inertia is None else inertia.force_scale),
-        rows=WallRows(fem, terms.walls or Walls.none(fem.d), size),
+        rows=WallRows(fem, terms.walls or Walls.none(fem.x_held.shape), size),
         inertia=inertia,
     )
     first = _Place.at(program, find_first_state(program, start, options.first_gap))

@@ -8,66 +8,70 @@ multipliers of the law, and the reaction is area u / size, a push along the norm
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 
-from macro_fem.fem.discretization import Points
 from macro_fem.fem.supported import SupportedFem
-from rve.common import Array, Rows
+from rve.common import Array
 
 TOUCHED = 1e-9
 """Relative to the size: by how much a node that no unknown moves may be outside its half-space."""
 
 
 @dataclass(frozen=True, eq=False)
-class Walls(Rows):
-    """Half-spaces normal . x >= offset for the points `at` (m,): unit normals (m, d), offset (m,) in mm; owner (m,):
-    the number of the obstacle that each one belongs to.
+class Walls:
+    """Half-spaces normal . x >= offset for the points `at` (m, n_nodes), shares of nodes: unit normals (m, d), offset
+    (m,) in mm; owner (m,): the number of the obstacle that each one belongs to.
     """
 
-    at: Points
+    at: sparse.csr_matrix
     normal: Array
     offset: Array
     owner: np.ndarray
 
     @classmethod
-    def none(cls, d: int) -> Walls:
-        """No half-spaces, in d dimensions."""
-        nowhere = np.zeros(0, int)
-        return cls(Points.of(nowhere), np.zeros((0, d)), np.zeros(0), nowhere)
+    def none(cls, shape: tuple[int, ...]) -> Walls:
+        """No half-spaces on nodes at x of a shape (n_nodes, d)."""
+        return cls(sparse.csr_matrix((0, shape[0])), np.zeros((0, shape[1])), np.zeros(0), np.zeros(0, int))
 
     @classmethod
     def joined(cls, parts: Sequence[Walls]) -> Walls:
-        """All half-spaces of one or more parts."""
-        k = max(part.at.node.shape[1] for part in parts)
-        first, *others = (replace(part, at=part.at.widened(k)) for part in parts)
-        return first.join(others)
+        """All half-spaces of one or more parts, of all nodes or the first ones."""
+        n, ats = max(part.at.shape[1] for part in parts), [part.at for part in parts]
+        wide = [sparse.csr_matrix((at.data, at.indices, at.indptr), shape=(at.shape[0], n)) for at in ats]
+        each = ([getattr(part, name) for part in parts] for name in ("normal", "offset", "owner"))
+        return cls(sparse.vstack(wide, format="csr"), *map(np.concatenate, each))
+
+    def take(self, which: np.ndarray) -> Walls:
+        """Some of the half-spaces, by number or by flag."""
+        return Walls(self.at[which], self.normal[which], self.offset[which], self.owner[which])
 
     def __len__(self) -> int:
         return len(self.offset)
 
     def gap(self, x: Array) -> Array:
         """Distance (m,) of the points of nodes x (n_nodes, d) from their planes, mm; negative where they crossed."""
-        return np.asarray((self.normal * self.at.places(x)).sum(axis=1) - self.offset)
+        return np.asarray((self.normal * (self.at @ x)).sum(axis=1) - self.offset)
 
-    def matrix(self, n_nodes: int) -> sparse.csr_matrix:
-        """normal . x of the points (m, n_nodes d) of all components of nodes: as many entries in every row."""
-        (m, d), nodes = self.normal.shape, self.at.node.shape[1]
-        component = d * self.at.node[:, :, None] + np.arange(d)
-        share = self.at.share[:, :, None] * self.normal[:, None, :]
-        start = nodes * d * np.arange(m + 1)
-        return sparse.csr_matrix((share.ravel(), component.ravel(), start), shape=(m, n_nodes * d))
+    @property
+    def matrix(self) -> sparse.csr_matrix:
+        """normal . x of the points (m, n_nodes d) of all components of nodes."""
+        at, d = self.at, self.normal.shape[1]
+        component = d * at.indices[:, None] + np.arange(d)
+        share = at.data[:, None] * np.repeat(self.normal, np.diff(at.indptr), axis=0)
+        shape = (at.shape[0], d * at.shape[1])
+        return sparse.csr_matrix((share.ravel(), component.ravel(), d * at.indptr), shape=shape)
 
-    def nodal(self, force: Array, n_nodes: int) -> Array:
+    def nodal(self, force: Array) -> Array:
         """Nodal forces (n_nodes, d) of pushes `force` (m,) along the normals, N."""
-        return np.asarray(self.matrix(n_nodes).T @ force).reshape(n_nodes, -1)
+        return np.asarray(self.matrix.T @ force).reshape(self.at.shape[1], -1)
 
     def is_movable(self, fem: SupportedFem) -> np.ndarray:
         """Which half-spaces (m,) some unknown moves a point of along the normal; the others hold or do not."""
-        return np.asarray(abs(self.matrix(len(fem.x_held)) @ fem.T).sum(axis=1)).ravel() > 1e-12
+        return np.asarray(abs(self.matrix @ fem.T).sum(axis=1)).ravel() > 1e-12
 
     def stuck(self, fem: SupportedFem) -> float:
         """How deep points that no unknown moves along the normal are beyond their half-spaces, mm; 0 if none is."""
@@ -98,7 +102,7 @@ class WallRows:
     @cached_property
     def A(self) -> sparse.csr_matrix:
         """Unknowns to slacks (m, n)."""
-        return (self.rows.matrix(self.fem.disc.n_nodes) @ self.fem.T / self.size).tocsr()
+        return (self.rows.matrix @ self.fem.T / self.size).tocsr()
 
     @cached_property
     def v(self) -> Array:
@@ -106,7 +110,7 @@ class WallRows:
         disc = self.fem.disc
         local = disc.cell_dofs.shape[1]
         around = np.bincount(disc.cell_dofs.ravel(), np.repeat(disc.cell_area / local, local), disc.n_nodes)
-        v = (np.abs(self.rows.at.share) * around[self.rows.at.node]).sum(axis=1)
+        v = abs(self.rows.at) @ around
         return np.asarray(np.where(v > 0.0, v, around.mean()))
 
     def slack(self, z: Array) -> Array:

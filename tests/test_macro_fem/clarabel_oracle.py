@@ -56,7 +56,7 @@ def solve_clarabel(
     `walls` are half-spaces on nodes, further linear rows of the program.
     """
     total = load_scale(load, fem.disc.weight)
-    F0, rows = fem.gradient(np.zeros(fem.n)).ravel(), WallRows(fem, walls or Walls.none(fem.d), size)
+    F0, rows = fem.gradient(np.zeros(fem.n)).ravel(), WallRows(fem, walls or Walls.none(fem.x_held.shape), size)
     task = _Task(fem, load, size, total, gradient_matrix(fem), F0, rows, rows.A)
     cones = first_cones(law.half_spaces(), len(fem.disc.weight))
     tell("clarabel, round 1")

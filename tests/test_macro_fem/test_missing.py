@@ -33,7 +33,7 @@ def begun(problem):
     load, z = fem.gather(problem.force), fem.unknowns(gathered_start(problem))
     total = np.abs(load).sum()
     cones = first_cones(problem.law.half_spaces(), len(fem.disc.weight))
-    R, rows = compliance_root(np.zeros((3, 3))), WallRows(fem, Walls.none(2), 140.0)
+    R, rows = compliance_root(np.zeros((3, 3))), WallRows(fem, Walls.none(fem.x_held.shape), 140.0)
     program = Program(fem, problem.law, load, cones, R, 140.0 * total, total, rows)
     return program, find_first_state(program, z, PathOptions.first_gap)
 

@@ -9,7 +9,6 @@ import pytest
 from scipy import sparse
 
 from macro_fem.fem.assembly import load_vector
-from macro_fem.fem.discretization import Points
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
 from macro_fem.motion.step import Account, Moment, TimeStep, end_of, kinetic_energy, solve_step
 from macro_fem.problem import CurtainProblem
@@ -45,7 +44,7 @@ class Moving(NamedTuple):
 
 
 def untouched(x: np.ndarray) -> Walls:
-    return Walls.none(x.shape[1])
+    return Walls.none(x.shape)
 
 
 def advance(moving: Moving, moments: list[Moment], forces: Sequence[Any], h: float, accounts, tangents=untouched):
@@ -77,8 +76,8 @@ def ball_tangents(n: int, radius: float):
     def tangents(x: np.ndarray) -> Walls:
         away = x[:n] - x[n]
         normal = away / np.linalg.norm(away, axis=1)[:, None]
-        pairs = np.column_stack([np.arange(n), np.full(n, n)])
-        return Walls(Points(pairs, np.tile([1.0, -1.0], (n, 1))), normal, np.full(n, radius), np.zeros(n, int))
+        at = sparse.hstack([sparse.eye(n), np.full((n, 1), -1.0)], format="csr")
+        return Walls(at, normal, np.full(n, radius), np.zeros(n, int))
 
     return tangents
 
@@ -169,7 +168,7 @@ def test_matrix_of_loose_nodes_is_that_of_dense_algebra(is_tied):
     loose = with_loose_nodes(fem, 2)
     n, m = len(X), 5
     node = np.column_stack([rng.integers(0, n, m), n + rng.integers(0, 2, m)])
-    at = Points(node, np.tile([1.0, -1.0], (m, 1)))
+    at = sparse.csr_matrix((np.tile([1.0, -1.0], m), node.ravel(), 2 * np.arange(m + 1)), shape=(m, n + 2))
     walls = Walls(at, rng.normal(size=(m, 3)), np.zeros(m), np.zeros(m, int))
     rows, W = WallRows(loose, walls, 1.0), rng.normal(size=(n + 2, 3, 3))
     W = W @ W.transpose(0, 2, 1)

@@ -119,7 +119,7 @@ def test_quadratic_cells_do_not_dip_below_a_floor_between_their_nodes(fitted_law
     solution = answer(tables, fitted_law)
     assert solution.status == "converged", solution.message
     assert_balanced(solution)
-    assert solution.problem.disc.lattice.places(solution.x)[:, 1].min() > 40.0 - 1e-6
+    assert (solution.problem.disc.lattice @ solution.x)[:, 1].min() > 40.0 - 1e-6
     assert solution.pushes[:, 1].sum() > 0.1 * -solution.problem.force[:, 1].sum()
 
 
@@ -264,11 +264,11 @@ def test_points_between_nodes_are_where_the_element_puts_them(scene_tables, fitt
     """Each place of the mesh once; a straight state is straight there, and nodes are among them."""
     disc = posed(scene_tables(mesh={"cells": 2, "element": element}), fitted_law).disc
     for points in (disc.meeting, disc.lattice):
-        X = points.places(disc.nodes)
-        x = points.places(disc.nodes @ [[1.0, 0.5], [0.0, 2.0]] + [3.0, 4.0])
+        X = points @ disc.nodes
+        x = points @ (disc.nodes @ [[1.0, 0.5], [0.0, 2.0]] + [3.0, 4.0])
         assert x == pytest.approx(X @ [[1.0, 0.5], [0.0, 2.0]] + [3.0, 4.0], abs=1e-9)
         assert len(np.unique(np.rint(1e6 * X), axis=0)) == len(X)
-    to_node = np.linalg.norm(disc.meeting.places(disc.nodes)[:, None] - disc.nodes, axis=-1).min(axis=0)
+    to_node = np.linalg.norm((disc.meeting @ disc.nodes)[:, None] - disc.nodes, axis=-1).min(axis=0)
     assert to_node.max() < 1e-9
 
 
