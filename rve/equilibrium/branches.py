@@ -55,6 +55,14 @@ class RowStates(Rows):
         E = strain_of(pose, mesh.sides)
         return RowStates(pose, mesh.conjugate(E, s), E, np.full(len(s), branch, dtype="<U16"), unique)
 
+    @staticmethod
+    def undecided(mesh: LoadedCell, pose: Pose, S: Array) -> RowStates:
+        """Poses of rows between two rounds, with the loads S (n, 3) of their mixtures, where other states may do more."""
+        n = len(S)
+        return RowStates(
+            pose, S, strain_of(pose, mesh.sides), np.full(n, UNDECIDED, dtype="<U16"), np.zeros(n, dtype=bool)
+        )
+
     def states(self, mesh: LoadedCell) -> KnownStates:
         """The known states, with their images."""
         good = np.flatnonzero(np.isfinite(self.E[:, 0]))
@@ -130,8 +138,9 @@ def _fill(rows: RowStates, status: NDArray[np.str_], s: Array, known: KnownState
     if not len(left):
         return rows
     states = rows.states(mesh).join([known])
-    pose = states.pose.take(np.array([best_mixture(each, states.E, mesh)[0] for each in s[left]]))
-    return rows.put(left, RowStates.of(mesh, pose, s[left], UNDECIDED, np.zeros(len(left), dtype=bool)))
+    mixtures = [best_mixture(each, states.E, mesh) for each in s[left]]
+    pose = states.pose.take(np.array([members[0] for members, _ in mixtures]))
+    return rows.put(left, RowStates.undecided(mesh, pose, np.array([S for _, S in mixtures])))
 
 
 def _further_states(rows: RowStates, mesh: LoadedCell) -> KnownStates:
@@ -179,7 +188,7 @@ def _solve_from_rivals(
     the states of the mixture coexist, if they can be brought to the same work. Else it goes on from the new state.
     """
     old, s = rows.E[bad], s[bad]
-    mixtures = [best_mixture(each, known.E, mesh, detours) for each in s]
+    mixtures, loads = zip(*(best_mixture(each, known.E, mesh, detours) for each in s), strict=True)
     lead = known.pose.take(np.array([one[0] for one in mixtures]))
 
     def climbing(new: Equilibrium) -> tuple[Flags, Array, Flags]:
@@ -206,7 +215,7 @@ def _solve_from_rivals(
     rows = rows.put(bad[ok], replace(some, S=S_star[fine]))
     fresh = np.flatnonzero(got[left] & (np.abs(E[left] - old[left]).max(axis=1) > MOVED))
     pose = lead.take(left).put(fresh, new.pose.take(left[fresh]))
-    rows = rows.put(bad[left], RowStates.of(mesh, pose, s[left], UNDECIDED, np.zeros(len(left), dtype=bool)))
+    rows = rows.put(bad[left], RowStates.undecided(mesh, pose, np.array(loads)[left]))
     keep = np.sort(np.concatenate([pick, ok]))
     return rows, new.put(ok, both.take(fine)).take(keep), bad[keep], more
 

@@ -19,14 +19,15 @@ PART = 1e-7
 """Change of shares by which their derivatives are taken as differences."""
 
 
-def best_mixture(s: Array, E: Array, mesh: LoadedCell, detours: int = 0) -> list[int]:
+def best_mixture(s: Array, E: Array, mesh: LoadedCell, detours: int = 0) -> tuple[list[int], Array]:
     """Up to three of the strains E (m, 3), the largest share first, whose mixture of equal works under its S is nearest
-    to the answer of the Cauchy load s (3,): where no other does more work under S, it is the answer among mixtures.
+    to the answer of the Cauchy load s (3,), and S (3,): where no other does more work under S, it is the answer among
+    mixtures.
 
     Descent: the state of most work under S joins the mixture, or replaces some of it, as long as that lowers its gain,
     and so many times in a row where it does not.
     """
-    chosen, answer, visited, waited = list[int](), list[int](), set[frozenset[int]](), 0
+    chosen, answer, visited, waited = list[int](), (list[int](), s), set[frozenset[int]](), 0
     least, rival = np.inf, int(np.argmax((s * WEIGHT) @ E.T))
     while True:
         best = np.inf if detours else least - GAIN
@@ -39,14 +40,14 @@ def best_mixture(s: Array, E: Array, mesh: LoadedCell, detours: int = 0) -> list
             works = E @ (S * WEIGHT)
             gain = float(works.max() - w @ works[members])
             if gain < best:
-                best, mixture, ahead = gain, [members[k] for k in np.argsort(-w)], int(works.argmax())
+                best, mixture, ahead, load = gain, [members[k] for k in np.argsort(-w)], int(works.argmax()), S
         is_lower = best < least - GAIN
         waited = 0 if is_lower else waited + 1
         if waited > detours or not np.isfinite(best):
             return answer
         visited.add(frozenset(mixture))
         if is_lower:
-            least, answer = best, mixture
+            least, answer = best, (mixture, load)
         chosen, rival = mixture, ahead
 
 

@@ -88,8 +88,9 @@ def test_the_best_mixture_of_strains_carries_its_load():
         shares /= shares.sum()
         F = deformation_gradient((shares @ E[:k])[None])[0]
         s = F @ np.array([[S[0], S[1]], [S[1], S[2]]]) @ F.T
-        found = best_mixture(s[[0, 0, 1], [0, 1, 1]], E, mesh)
+        found, load = best_mixture(s[[0, 0, 1], [0, 1, 1]], E, mesh)
         assert found == np.argsort(-shares).tolist()
+        assert load == pytest.approx(S, abs=1e-9)
         assert equal_shares(s[[0, 0, 1], [0, 1, 1]], E[found], mesh) == pytest.approx(np.sort(shares)[::-1], abs=1e-9)
 
 

@@ -118,7 +118,7 @@ Z, Y, TILT = [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, np.sin(1e-8), np.cos(1e-8)]
 PAIRS = {
     "coaxial": ([0.0, 0.0, 0.7], Z, [0.7]),
     "identical": ([0.0, 0.0, 0.0], Z, [0.0]),
-    "identical, turned by 1e-8": ([0.0, 0.0, 0.0], TILT, [0.0] * 4),
+    "identical, turned by 1e-8": ([0.0, 0.0, 0.0], TILT, [0.0, 0.0]),
     "concentric, perpendicular": ([0.0, 0.0, 0.0], Y, [0.0, 0.0]),
     "coplanar, apart": ([2.5, 0.0, 0.0], Z, [0.5]),
     "coplanar, crossing": ([1.0, 0.0, 0.0], Z, [0.0, 0.0]),
