@@ -57,11 +57,9 @@ class RowStates(Rows):
 
     @staticmethod
     def undecided(mesh: LoadedCell, pose: Pose, S: Array) -> RowStates:
-        """Poses of rows between two rounds, with the loads S (n, 3) of their mixtures, where other states may do more."""
-        n = len(S)
-        return RowStates(
-            pose, S, strain_of(pose, mesh.sides), np.full(n, UNDECIDED, dtype="<U16"), np.zeros(n, dtype=bool)
-        )
+        """Poses between two rounds, with the loads S (n, 3) of their mixtures, under which other states may do more."""
+        branch, unique = np.full(len(S), UNDECIDED, dtype="<U16"), np.zeros(len(S), dtype=bool)
+        return RowStates(pose, S, strain_of(pose, mesh.sides), branch, unique)
 
     def states(self, mesh: LoadedCell) -> KnownStates:
         """The known states, with their images."""
