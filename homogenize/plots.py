@@ -19,11 +19,10 @@ from homogenize.laws.stored import StoredLaw
 from homogenize.query.strain import locked_strain
 from rve.common import Array, job, tell
 from rve.common.drawing.plane import Scale, new_axes, new_figure, rounded_up, save_figure, viridis
+from rve.common.optional import Axes
 from rve.common.tensor import trace
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from rve import StrainTable
 
 RECORD = "pictures.json"

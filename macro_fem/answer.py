@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from homogenize import MembraneLaw, default_law, load_law
 from macro_fem.output.forces import support_rows
@@ -13,10 +13,7 @@ from macro_fem.output.pictures import Pictures
 from macro_fem.scene.scene import Scene, load_scene
 from macro_fem.solvers.status import Status
 from rve.common import as_html, check_out_job, csv_text, job, require, write_text
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from pandas import DataFrame
+from rve.common.optional import Axes, DataFrame
 
 RECORD = "summary.json"
 """The file that stands for the job; it lists the others by their checksums."""

@@ -19,7 +19,8 @@ from macro_fem.output.forces import obstacle_summary
 from macro_fem.output.pictures import Pictures, plot_line_loads, plot_utilisation, write_curtain_page, write_pictures
 from macro_fem.output.weakest import envelope
 from macro_fem.rings.curtain import curtain_of, read_told
-from macro_fem.rings.localize import localize
+from macro_fem.rings.field import RingField
+from macro_fem.rings.localize import LocalizeOptions, localize
 from macro_fem.scene.meshing.mesh_files import write_outline
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Combination
@@ -27,13 +28,10 @@ from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.status import Status
 from rve.common import InputError, check_out_file, csv_text, tell, write_text
 from rve.common.meshes import write_mesh_file
+from rve.common.optional import Axes
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from macro_fem.demand.loop import Demand
-    from macro_fem.rings.field import RingField
-    from macro_fem.rings.localize import LocalizeOptions
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterable
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,10 +19,7 @@ from macro_fem.solution import CurtainSolution
 from macro_fem.told import combination_lines, components, order_lines, verdict
 from rve.common import atomic_path, checksum, digits
 from rve.common.drawing.plane import BLUE, VERMILION, new_figure
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from rve.common.optional import Axes, Figure
 
 A4 = (8.27, 11.69)
 WIDTH = 105

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -10,10 +10,8 @@ from homogenize.laws.protocol import MembraneLaw
 from homogenize.strength import MAKE_AGAIN, Strength
 from rve.common import Array, InputError
 from rve.common.drawing.plane import BLUE, VERMILION, new_axes, new_figure, viridis
+from rve.common.optional import Axes
 from rve.common.tensor import from_disc
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 SHEARS = (0.0, 0.05, 0.1, 0.15, 0.2)
 """E12 of the sections that are drawn."""

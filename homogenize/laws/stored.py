@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.report import ErrorReport
 from homogenize.strength import Strength
 from rve.common import as_html, json_text, read_typed, write_text
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from rve.common.optional import Axes
 
 SCHEMA = 1
 UNITS = {"strain": "1", "line_load": "N/mm", "stiffness": "N/mm", "length": "mm"}

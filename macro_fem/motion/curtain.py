@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -36,10 +36,7 @@ from rve.common import Array, InputError, NotConverged, digits
 from rve.common.drawing.plane import save_figure
 from rve.common.drawing.space import THREE_QUARTERS
 from rve.common.meshes import write_mesh_file
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from pyvista import Plotter
+from rve.common.optional import Figure, Plotter
 
 REST = 10.0
 """mm that nodes at rest may go in a step before balls are looked at again."""

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
@@ -18,10 +18,7 @@ from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Timed
 from rve.common import Array, InputError, tell
 from rve.common.drawing.space import compose
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from pyvista import Plotter
+from rve.common.optional import Figure, Plotter
 
 COLUMNS = (
     *("t_s", "mean_x_mm", "mean_y_mm", "mean_z_mm", "lowest_point_mm", "kinetic_N_mm", "potential_N_mm", "stored_N_mm"),

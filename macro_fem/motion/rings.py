@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -26,9 +26,7 @@ from rve import FiniteOptions, FiniteSolution, HalfSpace, RoundBody, ring_places
 from rve.common import Array, InputError, NotConverged, digits
 from rve.common.drawing.plane import new_figure, save_figure
 from rve.common.drawing.space import new_plotter
-
-if TYPE_CHECKING:
-    from pyvista import Plotter
+from rve.common.optional import Plotter
 
 HALVINGS = 6
 """How often a step that is not solved is taken in two halves."""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from homogenize import CellInfo
+from macro_fem.bounds.interval import CurtainBounds
 from macro_fem.drag import wind_summary
 from macro_fem.elastic_forces import forces_by, forces_note
 from macro_fem.fem.cells import counterclockwise, padded
@@ -21,9 +22,6 @@ from macro_fem.scene.tables import Bar, LiveLoad
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, meshes, versions
 from rve.common.factor import linear_solver
-
-if TYPE_CHECKING:
-    from macro_fem.bounds.interval import CurtainBounds
 
 
 def summarize(solution: CurtainSolution) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -28,10 +28,7 @@ from rve.common import Array, InputError, check_out_file, digits, require
 from rve.common.drawing import space
 from rve.common.drawing.page import check_page, write_page
 from rve.common.drawing.plane import Scale, new_axes, new_figure, save_figure
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from rve.common.optional import Axes, Figure
 
 NO_GIF = "leave out --animation"
 ARROWS = 700

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,9 +18,7 @@ from macro_fem.solution import CurtainSolution
 from rve.common import Array, digits
 from rve.common.drawing import space
 from rve.common.drawing.plane import Scale, rounded_up
-
-if TYPE_CHECKING:
-    from pyvista import Plotter, PolyData
+from rve.common.optional import Plotter, PolyData
 
 HELD, TRACK = "#1f4e79", "#4a4f57"
 GROUND, SHADOW, FIGURE = "#ebedf0", "#cdd2d8", "#8d96a1"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +19,7 @@ from macro_fem.solution import CurtainSolution
 from rve import Cell, FiniteSolution
 from rve.common import Array, InputError, versions
 from rve.common.drawing.plane import new_axes, save_figure
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from rve.common.optional import Axes
 
 ACROSS = 3
 """Line loads are averaged over squares of this many reference cells along each side."""

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,7 @@ from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestP
 from rve.common import Array, Index, as_html, csv_text, digits, job, versions, write_text
 from rve.common.drawing.page import write_page
 from rve.common.drawing.space import save_picture
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from rve.common.optional import Axes
 
 RECORD = "localize.json"
 """The file that stands for the job; it lists the others by their checksums."""
