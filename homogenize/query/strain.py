@@ -49,7 +49,7 @@ class LockedStrain:
 
     E_min, E_max (n, 3): bounds of the rings' locked strain from the rows of the table, nan if there are no rows.
     status is "converged" or "no_convergence" (the residual says by how much).
-    unique is false where another strain carries the same load, and where the bounds are wider than `WIDTH`.
+    unique is false where the bounds are wider than `WIDTH`; without rows, where strains of the law near the load are.
     """
 
     E: Array
@@ -118,7 +118,7 @@ def _with_rows(found: LockedStrain, rows: LockedRows, alpha: Array, beta: Array)
     low[open_], high[open_] = strain_bounds(rows, s[open_])
     low[at[alone]] = high[at[alone]] = both.E[row[alone]]
     E, S, residual, status = found.E.copy(), found.S.copy(), found.residual.copy(), found.status.copy()
-    unique = found.unique & ((high - low).max(axis=1) < WIDTH)
+    unique = (high - low).max(axis=1) < WIDTH
     E[at], S[at], unique[at], residual[at], status[at] = both.E[row], both.S[row], alone, 0.0, "converged"
     low[at], high[at] = np.fmin(low[at], E[at]) - slack, np.fmax(high[at], E[at]) + slack
     return replace(found, E=E, E_min=low, E_max=high, S=S, residual=residual, unique=unique, status=status)
