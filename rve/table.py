@@ -25,15 +25,17 @@ if TYPE_CHECKING:
 
     from rve.equilibrium.interior_point import LockedStates
 
-COLUMNS = ["alpha_deg", "beta_deg", "E11", "E12", "E22", "S11", "S12", "S22"]
-COLUMNS += ["x2_x_mm", "x2_y_mm", "x3_x_mm", "x3_y_mm"]
+_PARTS = {"E": ["E11", "E12", "E22"], "S": ["S11", "S12", "S22"]}
+_PARTS |= {"x2_mm": ["x2_x_mm", "x2_y_mm"], "x3_mm": ["x3_x_mm", "x3_y_mm"]}
+_PARTS |= {"compliance": [f"D{i}_{j}_mm_per_N" for i in ("11", "12", "22") for j in ("11", "12", "22")]}
+_PARTS |= {"strength": ["first_yield_1_per_mm", "collapse_1_per_mm"]}
+"""The columns of fields with several numbers a row, of which the last two may be absent. Strength is the yield stress
+in N/mm2 that a line load S with S11 + S22 = 1 N/mm asks of the wire."""
+COLUMNS = ["alpha_deg", "beta_deg", *_PARTS["E"], *_PARTS["S"], *_PARTS["x2_mm"], *_PARTS["x3_mm"]]
 COLUMNS += ["R", "min_gap_mm", "contacts", "unique", "status", "iterations"]
 _REQUIRED = ("alpha_deg", "beta_deg", "E11", "E12", "E22", "S11", "S12", "S22", "status")
 _MOST = {"alpha_deg": 360.0, "beta_deg": 360.0, "contacts": 1e9, "unique": 1.0, "iterations": 1e9}
 _MOST |= dict.fromkeys(("E11", "E12", "E22"), 1e3) | dict.fromkeys(("S11", "S12", "S22"), 1e9)
-COMPLIANCE_COLUMNS = [f"D{i}_{j}_mm_per_N" for i in ("11", "12", "22") for j in ("11", "12", "22")]
-STRENGTH_COLUMNS = ["first_yield_1_per_mm", "collapse_1_per_mm"]
-"""Yield stress in N/mm2 that a line load S with S11 + S22 = 1 N/mm asks of the wire."""
 
 
 @dataclass(frozen=True)
@@ -95,17 +97,12 @@ class StrainTable:
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """The columns of the CSV file, by name."""
-        numbers = np.column_stack([self.alpha_deg, self.beta_deg, self.E, self.S, self.x2_mm, self.x3_mm])
-        known = dict(zip(COLUMNS[:12], numbers.T, strict=True)) | vars(self.quality)
-        known |= {"unique": self.unique.astype(int), "status": self.status}
-        columns: dict[str, NDArray[Any]] = {name: known[name] for name in COLUMNS}
-        if self.branch is not None:
-            columns["branch"] = self.branch
-        if self.compliance is not None:
-            columns |= dict(zip(COMPLIANCE_COLUMNS, self.compliance.reshape(len(self), 9).T, strict=True))
-        if self.strength is not None:
-            columns |= dict(zip(STRENGTH_COLUMNS, self.strength.T, strict=True))
-        return columns
+        known = vars(self) | vars(self.quality) | {"unique": self.unique.astype(int)}
+        for part, names in _PARTS.items():
+            if known[part] is not None:
+                known |= zip(names, known[part].reshape(len(self), -1).T, strict=True)
+        order = (*COLUMNS, "branch", *_PARTS["compliance"], *_PARTS["strength"])
+        return {name: known[name] for name in order if known.get(name) is not None}
 
     def to_pandas(self) -> DataFrame:
         """The table as a pandas DataFrame with the columns of its CSV file; its `attrs` hold the provenance.
@@ -178,28 +175,24 @@ def read_table(path: AnyPath) -> StrainTable:
     def column(name: str) -> Array:
         return number_column(path, columns, name, _MOST.get(name, np.inf), good if name in _REQUIRED else None)
 
-    def several(names: list[str]) -> Array:
-        return np.stack([column(name) for name in names], axis=1)
-
-    def several_if_there(names: list[str]) -> Array | None:
-        return several(names) if set(names) <= columns.keys() else None
-
-    unique, compliance = column("unique"), several_if_there(COMPLIANCE_COLUMNS)
+    parts: dict[str, Any] = {
+        part: np.stack([column(name) for name in names], axis=1)
+        for part, names in _PARTS.items()
+        if part in ("x2_mm", "x3_mm") or set(names) <= columns.keys()
+    }
+    if "compliance" in parts:
+        parts["compliance"] = parts["compliance"].reshape(-1, 3, 3)
+    unique = column("unique")
     whole = (np.nan_to_num(column(name)).astype(int) for name in ("contacts", "iterations"))
     return StrainTable(
-        column("alpha_deg"),
-        column("beta_deg"),
-        several(COLUMNS[2:5]),
-        several(COLUMNS[5:8]),
-        several(COLUMNS[8:10]),
-        several(COLUMNS[10:12]),
-        np.where(np.isfinite(unique), unique, 1.0) > 0.5,
-        status,
-        RowQuality(column("R"), column("min_gap_mm"), *whole),
-        None if compliance is None else compliance.reshape(-1, 3, 3),
-        _read_provenance(Path(path)),
-        np.array([text.strip() for text in columns["branch"]]) if "branch" in columns else None,
-        strength=several_if_there(STRENGTH_COLUMNS),
+        alpha_deg=column("alpha_deg"),
+        beta_deg=column("beta_deg"),
+        unique=np.where(np.isfinite(unique), unique, 1.0) > 0.5,
+        status=status,
+        quality=RowQuality(column("R"), column("min_gap_mm"), *whole),
+        provenance=_read_provenance(Path(path)),
+        branch=np.array([text.strip() for text in columns["branch"]]) if "branch" in columns else None,
+        **parts,
     )
 
 

@@ -18,7 +18,7 @@ from rve.finite.layout import FiniteMesh
 from rve.finite.problem import Problem
 from rve.finite.solver import solve_rings
 from rve.finite.task import SENTENCES, FiniteOptions, Found, Record, Task
-from rve.finite.touching import find_touching, links_intact
+from rve.finite.touching import links_intact
 from rve.finite.walls import Obstacle, RoundBody
 
 if TYPE_CHECKING:
@@ -207,8 +207,7 @@ def as_solution(problem: Problem, task: Task, found: Found) -> FiniteSolution:
     """What a solver has found, with its units."""
     mesh, con, unit = problem.mesh, found.touching, task.unit
     r1, n, pair, ring = mesh.cell.r1, len(mesh.X), con.minima.pair, ~con.at_wall
-    check = find_touching(con.placed, task.linked, task.wire, 0.1)
-    lowest = r1 * float(check.deepest.min(initial=np.inf))
+    lowest = r1 * float(con.deepest.min(initial=np.inf))
     pushes = spread(con, gradients(con), found.force)[:, :3]
     total = pushes + task.force + task.springs(con.placed, 0.0)[1][:, :3]
     reaction = np.where(task.held, -unit * total, 0.0)
@@ -229,7 +228,7 @@ def as_solution(problem: Problem, task: Task, found: Found) -> FiniteSolution:
             unit * found.force[ring],
             r1 * con.gap[ring],
             lowest,
-            links_intact(check, task.keys),
+            links_intact(con, task.keys),
         ),
         walls=tuple(
             wall.moved(r1 * place) if isinstance(wall, RoundBody) else wall
