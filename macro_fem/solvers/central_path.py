@@ -161,12 +161,12 @@ def _try_step(place: _Place, options: PathOptions, *, may_wait: bool) -> tuple[P
         return None
     F = program.fem.gradient(state.z + step.primal * step.dz)
     E = program.locked(F, state.eps + step.primal * step.deps)
-    found = find_nearest(program, now, E, now.wanted + step.d_wanted * step.primal)
-    if not len(found.missing):
+    violation, missing, cut = find_nearest(program, now, E, now.wanted + step.d_wanted * step.primal)
+    if not len(missing):
         after = advance(state, step)
-        margin = min(-float(found.violation.max()), float(program.rows.slack(after.z).min(initial=np.inf)))
+        margin = min(-float(violation.max()), float(program.rows.slack(after.z).min(initial=np.inf)))
         return program, after, step.dual > 0.0, margin
-    program, state, shorter = join(program, state, step, found)
+    program, state, shorter = join(program, state, step, missing, cut)
     if may_wait and shorter.primal < GOOD * step.primal:
         return program, state, False, -np.inf
     return program, advance(state, shorter), shorter.dual > 0.0, -np.inf

@@ -157,22 +157,10 @@ def advance(state: ConeState, step: ConeStep) -> ConeState:
     )
 
 
-@dataclass(frozen=True)
-class Nearest:
-    """The law's nearest half-space at each point, by how much it is violated, and if it is missing.
-
-    violation (nq,) is (S:E - h) / (h + tr S / 2) for the locked strain E, negative inside; missing (k,) are the points
-    where it is not among the program's and is violated or much nearer than those.
-    """
-
-    cut: Cut
-    violation: Array
-    missing: np.ndarray
-
-
-def find_nearest(program: Program, now: Measure, E: Array, wanted: Vectors) -> Nearest:
-    """What the law knows better than the program at locked strains E (nq, 3), where the cones ask for `wanted`: nothing
-    at points whose own cones are still far from their place.
+def find_nearest(program: Program, now: Measure, E: Array, wanted: Vectors) -> tuple[Array, np.ndarray, Cut]:
+    """By how much locked strains E (nq, 3) violate the law's nearest half-spaces, (S:E - h) / (h + tr S / 2) (nq,),
+    negative inside; the points (k,) where these are missing, and those half-spaces: not among the program's, and
+    violated or much nearer than what its cones ask for, `wanted`. None is missing where cones are far from their place.
     """
     cones, cut = program.cones, all_cuts(program.law, E)
     size = trace(cut.S)
@@ -184,19 +172,20 @@ def find_nearest(program: Program, now: Measure, E: Array, wanted: Vectors) -> N
     if now.outside >= STRAY:
         stray = np.sqrt(now.r_s.dot(now.r_s)) / program.c
         is_missing &= np.maximum.reduceat(stray, cones.first) < STRAY
-    return Nearest(cut, cut.violation / (cut.h + 0.5 * size), np.flatnonzero(is_missing))
+    return cut.violation / (cut.h + 0.5 * size), np.flatnonzero(is_missing), cut.take(is_missing)
 
 
-def join(program: Program, state: ConeState, step: ConeStep, found: Nearest) -> tuple[Program, ConeState, ConeStep]:
-    """The program with all missing half-spaces, its state at the same unknowns, and the step with new lengths, its
-    changes kept and of the new cones the primal part alone.
+def join(
+    program: Program, state: ConeState, step: ConeStep, new: np.ndarray, cut: Cut
+) -> tuple[Program, ConeState, ConeStep]:
+    """The program with half-spaces `cut` at the points `new` (k,), its state at the same unknowns, and the step with
+    new lengths, its changes kept and of the new cones the primal part alone.
 
     Dual vectors are those of the central path for the distance at hand. Where that is small or negative the cone vector
     is lifted, so that the half-space takes no more than `SHARE` of what its point carries; all dual vectors of the
     point are then lowered together until it carries what it did, which unbalances forces least.
     """
-    new = found.missing
-    cones, order = with_cuts(program.cones, new, found.cut.take(new))
+    cones, order = with_cuts(program.cones, new, cut)
     wider = replace(program, cones=cones)
     fresh = np.flatnonzero(order >= len(program.c))
     mu = mean_product(program, state)
