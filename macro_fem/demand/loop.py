@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -54,32 +54,19 @@ SENTENCES = {
 """What each status says; only the first means that the accuracy was reached."""
 
 
-@dataclass(frozen=True)
-class Turn:
-    """One turn: triangles, rows known, ring problems solved and read so far, bounds and their law's part; the lower
-    bound is nan in turns that only asked the rings."""
-
-    cells: int
-    rows: int
-    ring_solves: int
-    cache_hits: int
-    upper_N_mm: float
-    lower_N_mm: float
-    law_part_N_mm: float
-    wall_s: float
-
-
 @dataclass(frozen=True, eq=False)
 class Demand:
     """The answer on demand: the last curtain with its bounds, the law of the rings that were asked, and the way there.
 
+    turns: of each the triangles, rows known, ring problems solved and read so far, bounds and their law's part, by the
+    names of summary.json; the lower bound is nan in turns that only asked the rings.
     status: "converged" if the interval is as narrow as asked; `message` says what limits it otherwise.
     """
 
     level: CurtainBounds
     law: LawInterval
     rings: Rings
-    turns: tuple[Turn, ...]
+    turns: tuple[dict[str, Any], ...]
     accuracy: float
     status: str
     message: str
@@ -95,8 +82,8 @@ class Demand:
             "ring_failures": self.rings.failed,
             "rows": len(self.rings.rows),
             "largest_contradiction_of_rows": self.law.raised,
-            "turns": [asdict(turn) for turn in self.turns],
-            "wall_s": self.turns[-1].wall_s,
+            "turns": list(self.turns),
+            "wall_s": self.turns[-1]["wall_s"],
         }
 
 
@@ -110,7 +97,7 @@ def solve_on_demand(scene: Scene, rings: Rings, accuracy: float = ACCURACY) -> D
     began = time.perf_counter()
     if not len(rings.rows):
         rings.learn(first_directions(rings.is_mirrored))
-    mesh, turns = build_mesh(scene, rings.info), list[Turn]()
+    mesh, turns = build_mesh(scene, rings.info), list[dict[str, Any]]()
     last: CurtainSolution | None = None
     level: CurtainBounds | None = None
     share, status, why = FIRST_GAP, "turn_limit", dict[str, Any]()
@@ -132,9 +119,10 @@ def solve_on_demand(scene: Scene, rings: Rings, accuracy: float = ACCURACY) -> D
         if is_known:
             with part_of("bounds", 0.0, 1.0):
                 new = bound(solution, outer=rings.law.outer)
-        lower, cells = new.lower if is_known else np.nan, solution.problem.disc.n_cells
-        asked = len(rings.rows), rings.solves, rings.hits
-        turns.append(Turn(cells, *asked, solution.primal, lower, part, time.perf_counter() - began))
+        asked = {"rows": len(rings.rows), "ring_solves": rings.solves, "cache_hits": rings.hits}
+        ends = {"upper_N_mm": solution.primal, "lower_N_mm": new.lower if is_known else np.nan, "law_part_N_mm": part}
+        time_s = {"wall_s": time.perf_counter() - began}
+        turns.append({"cells": solution.problem.disc.n_cells} | asked | ends | time_s)
         last = solution
         if not is_known:
             continue
@@ -197,17 +185,17 @@ def _loads(solution: CurtainSolution, rings: Rings, inner: MembraneLaw) -> Loads
     return loads_of(problem.disc.weight, problem.law.in_weave(solution.S), inner, rings.law.outer)
 
 
-def _find_end(bounds: CurtainBounds, rings: Rings, turns: Sequence[Turn], accuracy: float) -> str | None:
+def _find_end(bounds: CurtainBounds, rings: Rings, turns: Sequence[dict[str, Any]], accuracy: float) -> str | None:
     """The status if this was the last turn."""
     target = accuracy * _scale(bounds.solution)
     if bounds.status != "converged":
         return "bound_limit"
     if bounds.gap <= target:  # by rows that do not contradict each other, else some h are not the largest work
         return "converged" if rings.law.raised <= GAIN else "contradiction"
-    is_idle = len(turns) > 1 and turns[-1].rows == turns[-2].rows
+    is_idle = len(turns) > 1 and turns[-1]["rows"] == turns[-2]["rows"]
     if is_idle and float(bounds.law_part or 0.0) > 0.5 * max(bounds.gap, target):
         return "law_limit"
-    return "mesh_limit" if turns[-1].cells + 3 * len(mark(bounds.error)) > MOST_CELLS else None
+    return "mesh_limit" if turns[-1]["cells"] + 3 * len(mark(bounds.error)) > MOST_CELLS else None
 
 
 def _line(mesh: CurtainMesh, rings: Rings, level: CurtainBounds | None) -> str:

@@ -41,24 +41,17 @@ FORCES = "at the ends of the steps, by the elasticity of the rings"
 
 
 def run_motion(
-    scene_path: Path,
-    law_path: Path | None,
-    out: Path,
-    *,
-    picture: bool = True,
-    animation: bool = False,
-    html: bool = False,
-    goes_on: bool = False,
-    **each_ring: Any,
+    scene_path: Path, law_path: Path | None, out: Path, *, goes_on: bool = False, **how: Any
 ) -> dict[str, Any]:
     """Solve the scene of [motion] in a file, write its files into `out` and return the summary.
 
     goes_on: from the end of the run whose files are in `out`, of the same scene but for its duration, and the same law.
-    each_ring: space and start of `EveryRing` for a scene that is solved ring by ring. InputError in one sentence, and
-    nothing written, for what cannot be read or begin.
+    how: `picture`, `animation` and `html`, and for a scene that is solved ring by ring space and start of `EveryRing`.
+    InputError in one sentence, and nothing written, for what cannot be read or begin.
     """
     scene, law, inputs = read_job(scene_path, law_path, out)
-    wanted = Pictures(picture, animation, html, stem="motion")
+    each_ring = {name: how.pop(name) for name in ("space", "start") if name in how}
+    wanted = Pictures(**how, stem="motion")
     wanted.check(None if each_ring else scene)
     mover: AnyMover = MovingRings(scene, EveryRing(law, **each_ring)) if each_ring else MovingCurtain(scene, law)
     of, before, rows = _checksum(scene, law, each_ring.get("space")), list[Frame](), list[Any]()

@@ -134,7 +134,7 @@ def test_the_interval_of_exactly_known_rings_holds_their_answer(known_rings):
     assert best.lower < high
     assert low < best.lower + 1e-3 * scale
     assert found.rings.solves == len(known_rings) < 60
-    assert [turn.ring_solves for turn in found.turns] == sorted(turn.ring_solves for turn in found.turns)
+    assert [turn["ring_solves"] for turn in found.turns] == sorted(turn["ring_solves"] for turn in found.turns)
 
 
 def test_what_is_asked_is_where_the_curtain_is_stressed(known_rings):
