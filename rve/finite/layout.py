@@ -8,8 +8,9 @@ membrane.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -137,16 +138,22 @@ class FiniteMesh:
         'converged'
         """
         from rve.finite.problem import Problem
-        from rve.finite.solution import solve_mesh
+        from rve.finite.solution import as_solution
+        from rve.finite.solver import solve_rings
         from rve.finite.step import rest_by_motion
         from rve.finite.task import FiniteOptions
 
-        force, at = np.asarray(force, dtype=float), np.asarray(at, dtype=float)
+        began, force, at = time.perf_counter(), np.asarray(force, dtype=float), np.asarray(at, dtype=float)
         near = np.full(force.shape, np.nan) if guide is None else np.asarray(guide, dtype=float)
         options = options or FiniteOptions()
         problem = Problem(self, force, np.asarray(held, dtype=bool), at, space, tuple(walls), near)
         problem.check()
-        return rest_by_motion(problem, options) if options.by_motion else solve_mesh(problem, options)
+        if options.by_motion:
+            found = rest_by_motion(problem, options)
+        else:
+            task = problem.task()
+            found = as_solution(problem, task, solve_rings(task, problem.start(options), options))
+        return replace(found, wall_s=time.perf_counter() - began)
 
 
 def cell_of_sides(r1: float, r2: float, sides: tuple[float, float]) -> Cell:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +15,7 @@ from rve.drawn import DrawnRings
 from rve.finite.equations import gradients, spread
 from rve.finite.layout import FiniteMesh
 from rve.finite.problem import Problem
-from rve.finite.solver import solve_rings
-from rve.finite.task import SENTENCES, FiniteOptions, Found, Record, Task
+from rve.finite.task import SENTENCES, Found, Record, Task
 from rve.finite.touching import links_intact
 from rve.finite.walls import Obstacle, RoundBody
 
@@ -193,14 +191,6 @@ class FiniteSolution:
             ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), frameon=False)
         ax.set_title(f"{len(self.centre)} rings: {self.status}\nmean height {self.mean_height:.1f} mm", fontsize=11)
         return ax
-
-
-def solve_mesh(problem: Problem, options: FiniteOptions) -> FiniteSolution:
-    """The answer to a problem; see `FiniteMesh.solve`."""
-    began = time.perf_counter()
-    task = problem.task()
-    found = as_solution(problem, task, solve_rings(task, problem.start(options), options))
-    return replace(found, wall_s=time.perf_counter() - began)
 
 
 def as_solution(problem: Problem, task: Task, found: Found) -> FiniteSolution:

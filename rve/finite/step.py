@@ -14,7 +14,6 @@ Inertia makes the matrix of a step positive definite where that of the rings at 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -172,8 +171,7 @@ def _step(
 
 def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
     """The equilibrium in which a damped motion from the slack weave ends; see `FiniteMesh.solve`."""
-    began, r1 = time.perf_counter(), problem.mesh.cell.r1
-    placed = problem.start(options)
+    r1, placed = problem.mesh.cell.r1, problem.start(options)
     ends, r2 = flat(problem.walls), problem.mesh.cell.r2
     planes = zip(ends, placed.x[placed.rings :], strict=True)
     cut = tuple(replace(wall, offset=r1 * float(wall.unit @ p) - r2) for wall, p in planes)
@@ -219,7 +217,7 @@ def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
     if found is None:  # the motion has never come near to rest
         status = "iterations" if part == 1.0 else "out-of-reach"
         found = _without_forces(replace(problem, walls=tuple(flat(rings.walls))), rings.centre, rings.normal, status)
-    return replace(found, wall_s=time.perf_counter() - began, history=history)
+    return replace(found, history=history)
 
 
 def _forces(start: FiniteSolution, task: Task, touching: Touching, mu: float) -> Array:
