@@ -14,6 +14,8 @@ from rve.geometry.weave import FOUR_IN_ONE, WEAVES, Weave, supercell
 
 CellCount = Annotated[int, Meta(ge=1, le=4)]
 """Primitive cells on a side of a larger one: 4 x 4 of them have 160 coordinates."""
+UNSAID = replace(STEEL)
+"""The steel of cells that name no material: it takes any density that is asked for."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +26,8 @@ class Cell(Typed):
     `material` and `weave` may be names. cells: primitive cells along the weave's a1 and a2 whose rings move
     independently, and centres: "plane" or "space", where the centres of rings may be; `rve.solve_table` and
     `rve.support` look for the largest work there. All else is of the primitive cell with centres in the plane.
-    `density` follows the material, or the material follows a density other than that of steel. InputError for
-    values out of range, for wire too thick for the weave, and for two different densities.
+    `density` follows the material, or steel that is not named follows a density. InputError for values out of range,
+    for wire too thick for the weave, and for two different densities.
 
     >>> Cell(material="steel 1.4404").density, Cell(density=8e-6).material.density_kg_per_mm3
     (8e-06, 8e-06)
@@ -36,7 +38,7 @@ class Cell(Typed):
     weave: Weave = FOUR_IN_ONE  # or its name
     grain: Literal["y", "x"] = "y"
     density: Density = STEEL_KG_PER_MM3
-    material: Material = STEEL  # or its name, which __post_init__ replaces
+    material: Material = UNSAID  # or its name, which __post_init__ replaces
     cells: tuple[CellCount, CellCount] = (1, 1)
     centres: Literal["plane", "space"] = "plane"
 
@@ -51,15 +53,13 @@ class Cell(Typed):
 
     def check(self) -> None:
         """Make density and material agree; InputError where they contradict each other, or the wire is too thick."""
-        theirs = self.material.density_kg_per_mm3
-        if STEEL_KG_PER_MM3 not in (self.density, theirs) and self.density != theirs:
-            raise InputError(
-                f"density = {self.density:g}: {self.material.name} has {theirs:g} kg/mm3; give one of the two"
-            )
+        metal, theirs = self.material, self.material.density_kg_per_mm3
         if self.density == STEEL_KG_PER_MM3:
             object.__setattr__(self, "density", theirs)
-        elif theirs != self.density:
-            object.__setattr__(self, "material", replace(self.material, density_kg_per_mm3=self.density))
+        elif metal is UNSAID:
+            object.__setattr__(self, "material", replace(STEEL, density_kg_per_mm3=self.density))
+        elif self.density != theirs:
+            raise InputError(f"density = {self.density:g}: {metal.name} has {theirs:g} kg/mm3; give one of the two")
         limit = self.weave.jamming_ratio
         if not self.r1 / self.r2 > limit:
             raise InputError(

@@ -1,7 +1,7 @@
 """Materials: named ones, values that replace theirs, one sentence for what no material has, and the way into files."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import pytest
 from click.testing import CliRunner
@@ -48,6 +48,8 @@ def test_a_cell_has_one_density():
     assert Cell(density=8e-6).material == Material(density_kg_per_mm3=8e-6)
     with pytest.raises(InputError, match="give one of the two"):
         Cell(density=8e-6, material=named_material("titanium grade 2"))
+    with pytest.raises(InputError, match="give one of the two"):  # steel, as light as titanium
+        replace(Cell(material="titanium grade 2"), material="steel")
 
 
 def test_a_cell_takes_its_weave_by_name():
