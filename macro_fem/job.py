@@ -113,8 +113,7 @@ def solve_every_ring(scene: Scene, who: EveryRing) -> EveryRingSolution:
 
 def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
     """The curtain by a law that is asked of the rings; earlier load steps by the law found at full load."""
-    from macro_fem.demand.loop import solve_on_demand
-    from macro_fem.demand.ring_strength import with_strength
+    from macro_fem.demand.loop import solve_on_demand, with_strength
     from macro_fem.demand.rings import Rings
 
     check_sizes(scene, who.cell.r1)

@@ -5,29 +5,32 @@
 
 Every upper bound holds for a law inside that of the rings, every lower bound for one that contains it, so the interval
 of every turn holds the answer for the rings and the continuous curtain. The law's part is the sum of weight times width
-over the stresses of the curtain (`macro_fem.bounds.interval.Loads`), the mesh's part the rest.
+over the stresses of the curtain (`macro_fem.bounds.interval.Loads`), the mesh's part the rest. At last the rings are
+asked for their strength, also where the curtain comes nearest to yield.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from homogenize import LawInterval, MembraneLaw
+from homogenize import LawInterval, LockedRows, MembraneLaw, Strength, strength_of_table
 from macro_fem.bounds.interval import CurtainBounds, Loads, admissible_problem, bound, loads_of, mark, with_cones_of
 from macro_fem.curtain import solve_problem
-from macro_fem.demand.directions import between, first_directions, widest
+from macro_fem.demand.directions import between, first_directions, rounded, widest
 from macro_fem.demand.options import ACCURACY
 from macro_fem.demand.rings import GAIN, Rings
+from macro_fem.output.strength import critical_load
 from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution
-from rve.common import Array, InputError, part_of
-from rve.common.tensor import disc
+from rve import Cell, cauchy_of, solve_table, with_rings
+from rve.common import Array, InputError, part_of, tell
+from rve.common.tensor import disc, eigenvalues, trace
 
 LAW_SHARE, AGAIN = 0.15, 2.0
 """The law may widen the interval by this part of what is asked, or of what the mesh does now: more saves ring solves
@@ -52,6 +55,9 @@ SENTENCES = {
     "curtain_limit": "the curtain of the next turn was not solved, and the interval is that of the turn before: {why}",
 }
 """What each status says; only the first means that the accuracy was reached."""
+YIELD_LOOKS, NEAR = 4, 0.01
+"""How often the rings are asked at the load that comes nearest to yield, whose place may move with every answer; not
+where a direction is known that is nearer than this in the unit disc."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,3 +211,45 @@ def _line(mesh: CurtainMesh, rings: Rings, level: CurtainBounds | None) -> str:
         return text
     scale, gap, law = _scale(level.solution), level.gap, float(level.law_part or 0.0)
     return f"{text}, interval {gap / scale:.2e} of the height (law {law / scale:.1e}, mesh {(gap - law) / scale:.1e})"
+
+
+def with_strength(found: Demand) -> Demand:
+    """`found` with a law that knows the strength of its rings, of their material: exact at the directions that were
+    asked, and at that of the largest utilisation of the curtain."""
+    rows, cell = found.law.rows, found.rings.cell
+    strength = strength_of_rows(rows, cell)
+    for _ in range(YIELD_LOOKS):
+        tell(f"asking the rings for their strength, {len(strength.S)} loads known")
+        told = _with_strength(found, strength)
+        load = critical_load(told.level.solution)
+        if load is None:
+            break
+        x, known = disc(load[None] / trace(load)), disc(rows.S)
+        images = known * [1.0, -1.0] if rows.is_mirrored else known
+        if np.hypot(*(np.vstack([known, images]) - x).T).min() < NEAR:
+            break
+        row = found.rings.answer(rounded(x)[0])
+        if row is None:
+            break
+        rows, strength = rows.join([row]), strength.join([strength_of_rows(row, cell)])
+    return told
+
+
+def strength_of_rows(rows: LockedRows, cell: Cell) -> Strength:
+    """The strength at the loads of rows, each solved again under the Cauchy load that locks the cell in its strain."""
+    s = cauchy_of(rows.S, rows.E)
+    low, high = eigenvalues(s)
+    alpha = 0.5 * np.degrees(np.arctan2(2.0 * s[:, 1], s[:, 0] - s[:, 2]))
+    beta = np.degrees(np.arctan2(np.maximum(low, 0.0), high))
+    found = strength_of_table(with_rings(solve_table(cell, (alpha, beta)), cell))
+    assert found is not None  # the table has the columns
+    return found
+
+
+def _with_strength(found: Demand, strength: Strength) -> Demand:
+    """`found` with this strength in its law and in that of its curtain."""
+    solution, inner = found.level.solution, replace(found.law.inner, strength=strength)  # type: ignore[type-var]
+    law = replace(found.law, inner=inner, law=inner)
+    own = replace(solution.problem.law.own, strength=strength)  # type: ignore[type-var]
+    problem = replace(solution.problem, law=replace(solution.problem.law, own=own))
+    return replace(found, law=law, level=replace(found.level, solution=replace(solution, problem=problem)))
