@@ -19,14 +19,7 @@ from scipy.spatial import cKDTree
 from macro_fem.fem.assembly import gradient
 from macro_fem.fem.cells import cross, recovered
 from macro_fem.problem import CurtainProblem
-from macro_fem.scene.loads import (
-    PER_MM2,
-    dynamic_pressure,
-    layered_drag,
-    layered_solidity,
-    ring_solidity,
-    wind_pressure,
-)
+from macro_fem.scene import loads
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.tables import Wind
 from macro_fem.solution import CurtainSolution
@@ -46,7 +39,7 @@ def wind_density(problem: CurtainProblem, x: Array) -> Array:
     total = np.zeros_like(area)
     for wind in problem.winds:
         if wind.speed is None:
-            total += _side(problem, wind) * problem.factor * wind_pressure(wind, None) * area
+            total += _side(problem, wind) * problem.factor * loads.wind_pressure(wind, None) * area
         else:
             total += np.tile(problem.factor * _drag(problem, wind, x, seen), (problem.disc.n_quad, 1))
     return total
@@ -57,7 +50,7 @@ def _drag(problem: CurtainProblem, wind: Wind, x: Array, a: Array) -> Array:
     along = unit(wind.direction)
     v = a @ along
     layers = layers_of(problem, wind, x, a)
-    push = dynamic_pressure(wind) * layered_drag(problem.law.cell, layers) / layers
+    push = loads.dynamic_pressure(wind) * loads.layered_drag(problem.law.cell, layers) / layers
     if not wind.follows:
         return np.asarray(push[:, None] * along)
     size = np.maximum(np.linalg.norm(a, axis=1), LEAST_FRONT)
@@ -125,17 +118,17 @@ def wind_summary(solution: CurtainSolution) -> dict[str, list[dict[str, float]]]
         if wind.speed is None:
             continue
         assert cell is not None  # see `macro_fem.scene.loads.nodal_forces`
-        alone, a = ring_solidity(cell), vector_areas(problem, solution.F)
+        alone, a = loads.ring_solidity(cell), vector_areas(problem, solution.F)
         layers = layers_of(problem, replace(wind, follows=False), solution.x, a)  # on its way
         front = float(reference @ (1.0 / layers))
         line = {
             "speed_m_per_s": wind.speed,
             "solidity": alone,
-            "drag_coefficient": float(layered_drag(cell, np.ones(1))[0]),
-            "pressure_N_per_m2": wind_pressure(wind, cell) / PER_MM2,
-            "front_area_m2": front * PER_MM2,
+            "drag_coefficient": float(loads.layered_drag(cell, np.ones(1))[0]),
+            "pressure_N_per_m2": loads.wind_pressure(wind, cell) / loads.PER_MM2,
+            "front_area_m2": front * loads.PER_MM2,
             "layers": float(reference.sum() / front),
-            "front_solidity": float((reference / layers) @ layered_solidity(alone, layers) / front),
+            "front_solidity": float((reference / layers) @ loads.layered_solidity(alone, layers) / front),
             "drag_N": float(reference @ (problem.factor * _drag(problem, wind, solution.x, a)) @ unit(wind.direction)),
         }
         lines.append(line)

@@ -9,19 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from macro_fem.output import strength
+from macro_fem.output import space_view, strength
 from macro_fem.output.forces import FORCES
-from macro_fem.output.space_view import (
-    LONGEST,
-    Titled,
-    draw_curtain,
-    drawn,
-    forces_of,
-    largest_of,
-    line_load_scale,
-    save_panels,
-    title,
-)
 from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError, check_out_file, digits, require
@@ -78,28 +67,29 @@ def write_pictures(folder: Path, steps: Sequence[CurtainSolution], wanted: Pictu
     if wanted.html:
         write_curtain_page(folder / f"{wanted.stem}.html", last)
     if wanted.picture and last.problem.scene.in_space:
-        save_panels(picture, [(last, space.FRONT), (last, space.THREE_QUARTERS)], title(last))
+        space_view.save_panels(picture, [(last, space.FRONT), (last, space.THREE_QUARTERS)], space_view.title(last))
     elif wanted.picture:
         save_figure(picture, panels(last))
     if wanted.animation:
-        shares = [f"{100.0 * step.problem.factor:.0f} % of live loads and moves, {title(step)}" for step in steps]
-        shares = [words.replace(" N, ", " N\n") for words in shares]
-        space.save_animation(folder / f"{wanted.stem}.gif", figures(list(zip(shares, steps, strict=True))))
+        titles = [space_view.title(step).replace(" N, ", " N\n") for step in steps]
+        shares = [f"{100.0 * step.problem.factor:.0f} % of live loads and moves, " for step in steps]
+        titled = [(share + words, step) for share, words, step in zip(shares, titles, steps, strict=True)]
+        space.save_animation(folder / f"{wanted.stem}.gif", figures(titled))
 
 
 def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:
     """Write the curtain in space as one HTML file that turns in a browser; InputError if plotly is missing."""
-    write_page(path, lambda: draw_curtain(solution), title(solution))
+    write_page(path, lambda: space_view.draw_curtain(solution), space_view.title(solution))
 
 
-def figures(steps: Titled) -> Iterator[Figure]:
+def figures(steps: space_view.Titled) -> Iterator[Figure]:
     """The curtain at each step as a figure, with one scale of colours, and one frame or camera."""
     solutions = [one for _, one in steps]
     if solutions[0].problem.scene.in_space:
-        for words, plotter in drawn(steps):
+        for words, plotter in space_view.drawn(steps):
             yield space.compose(plotter, words)
         return
-    scale, largest = line_load_scale(solutions), largest_of(forces_of(solutions))
+    scale, largest = space_view.line_load_scale(solutions), space_view.largest_of(space_view.forces_of(solutions))
     points = np.concatenate([*(one.x for one in solutions), solutions[0].problem.disc.nodes])
     low, high = points.min(axis=0), points.max(axis=0)
     room = 0.04 * float((high - low).max())
@@ -119,12 +109,12 @@ def plot_line_loads(
     scale, largest: colours and largest forces of a series of pictures; by default those of this solution.
     """
     values, direction = solution.principal()
-    scale = line_load_scale([solution]) if scale is None else scale
+    scale = space_view.line_load_scale([solution]) if scale is None else scale
     ax = _plot_field(solution, values[:, 0], scale, ax)
     _directions(solution, (values, direction), scale, ax)
-    _loads(solution, ax, largest or largest_of(forces_of([solution])))
+    _loads(solution, ax, largest or space_view.largest_of(space_view.forces_of([solution])))
     _legend(ax)
-    ax.set_title(title(solution).replace(", ", ",\n", 1), fontsize=11)
+    ax.set_title(space_view.title(solution).replace(", ", ",\n", 1), fontsize=11)
     return ax
 
 
@@ -152,10 +142,10 @@ def panels(solution: CurtainSolution) -> Figure:
     return figure
 
 
-def side_by_side(steps: Titled) -> Figure:
+def side_by_side(steps: space_view.Titled) -> Figure:
     """Line loads of several solutions on one scale."""
     solutions, figure = [one for _, one in steps], new_figure(5.2 * len(steps), 6.0)
-    scale, largest = line_load_scale(solutions), largest_of(forces_of(solutions))
+    scale, largest = space_view.line_load_scale(solutions), space_view.largest_of(space_view.forces_of(solutions))
     axes = figure.subplots(1, len(steps), squeeze=False, sharex=True, sharey=True)[0]
     for ax, (words, solution) in zip(axes, steps, strict=True):
         plot_line_loads(solution, ax, scale, largest).set_title(words, fontsize=11)
@@ -216,7 +206,7 @@ def _directions(solution: CurtainSolution, principal: tuple[Array, Array], scale
 
 def _loads(solution: CurtainSolution, ax: Axes, largest: Sequence[float]) -> None:
     """Loads at points and wind as arrows, the longest of each a part of the size of the mesh."""
-    size = LONGEST * solution.problem.mesh.size
+    size = space_view.LONGEST * solution.problem.mesh.size
     for (name, colour, forces, way), longest in list(zip(FORCES, largest, strict=True))[2:]:
         at, force = (part[:, :2] for part in forces(solution))
         if force.any():

@@ -18,25 +18,11 @@ import numpy as np
 from msgspec import Meta
 from scipy.spatial.transform import Rotation
 
+import rve
 from macro_fem.fem.cells import mean_at_corners, padded, triangle_areas
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites, curtain_file, read_curtain
 from macro_fem.rings.field import RECORD, RingField, WorstCell
-from rve import (
-    Cell,
-    NearestPoses,
-    PoseOptions,
-    axes_of_weave,
-    cauchy_of,
-    cell_forces,
-    deformation_gradient,
-    fit_rings,
-    largest_forces,
-    locked_arrangements,
-    nearest_poses,
-    offsets,
-    reference_shares,
-)
 from rve.common import Array, Index, InputError, Typed, check_out_job, tell
 
 NARROW = 1e-3
@@ -53,7 +39,7 @@ class LocalizeOptions(Typed):
 
     window: tuple[float, float, float, float] | None = None
     max_rings: Annotated[int, Meta(ge=1, le=10**9)] = 100_000
-    poses: PoseOptions = field(default_factory=PoseOptions)
+    poses: rve.PoseOptions = field(default_factory=rve.PoseOptions)
 
     def check(self) -> None:
         """InputError for a window that is no rectangle."""
@@ -73,8 +59,8 @@ def localize(curtain: Curtain | str | Path, options: LocalizeOptions | None = No
     options = options or LocalizeOptions()
     curtain = curtain if isinstance(curtain, Curtain) else read_curtain(curtain)
     cell, how = curtain.told.cell(curtain.source), options.poses
-    locked = locked_arrangements(cell, how)
-    axes = axes_of_weave(cell, curtain.told.hang_deg)
+    locked = rve.locked_arrangements(cell, how)
+    axes = rve.axes_of_weave(cell, curtain.told.hang_deg)
     tell("rings in their cells")
     sites = find_sites(curtain, cell, locked.sides, axes, options.window)
     if not len(sites.X):
@@ -86,23 +72,23 @@ def localize(curtain: Curtain | str | Path, options: LocalizeOptions | None = No
             "--window"
         )
 
-    def solved(cells: Index) -> tuple[NearestPoses, Array]:
+    def solved(cells: Index) -> tuple[rve.NearestPoses, Array]:
         """Poses of some cells, and the Cauchy line loads (n, 3) on them."""
-        states = nearest_poses(in_weave(curtain.E[cells], axes), cell, how, locked)
-        return states, cauchy_of(in_weave(curtain.S[cells], axes), states.E)
+        states = rve.nearest_poses(in_weave(curtain.E[cells], axes), cell, how, locked)
+        return states, rve.cauchy_of(in_weave(curtain.S[cells], axes), states.E)
 
     used, row = np.unique(sites.triangle, return_inverse=True)
     states, loads = solved(used)
     tell(f"{len(sites.X)} rings in their places")
     centre, normal = place_rings(curtain, sites, states, row, cell, axes)
     tell(f"contact forces of {len(used)} cells")
-    force = largest_forces(loads, cell, how.direct)[row, sites.index[:, 0]]
+    force = rve.largest_forces(loads, cell, how.direct)[row, sites.index[:, 0]]
     among = np.arange(len(curtain.line_load)) if options.window is None else used
     number = int(among[np.argmax(curtain.line_load[among])])
     pose, load = solved(np.array([number]))
     turn = turns(curtain, np.array([number]), pose.E, axes)[0]
-    worst = WorstCell(number, str(pose.status[0]), cell_forces(load[0], cell, how.direct), turn)
-    fit = fit_rings(sites.index, centre, normal, cell)
+    worst = WorstCell(number, str(pose.status[0]), rve.cell_forces(load[0], cell, how.direct), turn)
+    fit = rve.fit_rings(sites.index, centre, normal, cell)
     wall_s = round(time.perf_counter() - began, 3)
     return RingField(curtain, cell, sites, centre, normal, states, row, fit, force, worst, wall_s)
 
@@ -125,7 +111,7 @@ def in_weave(triples: Array, axes: Array) -> Array:
 
 
 def find_sites(
-    curtain: Curtain, cell: Cell, sides: tuple[float, float], axes: Array, window: tuple[float, ...] | None = None
+    curtain: Curtain, cell: rve.Cell, sides: tuple[float, float], axes: Array, window: tuple[float, ...] | None = None
 ) -> Sites:
     """Lattice points of all classes inside the undeformed curtain, or inside a window x0, y0, x1, y1 of it.
 
@@ -135,7 +121,7 @@ def find_sites(
 
     middle, step = 0.5 * (curtain.X.min(axis=0) + curtain.X.max(axis=0)), cell.r1 * np.array(sides)
     # axes is orthogonal, so that it is its own inverse from the right
-    corners, shares = ((curtain.X - middle) @ axes / step)[curtain.triangles], reference_shares(cell)
+    corners, shares = ((curtain.X - middle) @ axes / step)[curtain.triangles], rve.reference_shares(cell)
     low = np.floor(corners.min(axis=(0, 1)) - shares.max(axis=0)).astype(int)
     high = np.ceil(corners.max(axis=(0, 1)) - shares.min(axis=0)).astype(int) + 1
     ranges = np.arange(len(shares)), *map(np.arange, low, high)
@@ -153,7 +139,7 @@ def find_sites(
 
 
 def place_rings(
-    curtain: Curtain, sites: Sites, states: NearestPoses, row: Index, cell: Cell, axes: Array
+    curtain: Curtain, sites: Sites, states: rve.NearestPoses, row: Index, cell: rve.Cell, axes: Array
 ) -> tuple[Array, Array]:
     """Centres (n, 3) in mm and unit normals (n, 3) of the rings of the sites, in the axes of the curtain; row (n,) is
     the pose of each in `states`, in weave axes."""
@@ -161,7 +147,7 @@ def place_rings(
     corner = curtain.triangles[sites.triangle, 0]
     away = np.einsum("nxX,nX->nx", curtain.F[sites.triangle], sites.X - curtain.X[corner])
     centre = padded(curtain.x[corner] + away) + np.einsum(
-        "nxy,ny->nx", turn[:, :, :2], offsets(states.pose, cell)[row, ring]
+        "nxy,ny->nx", turn[:, :, :2], rve.offsets(states.pose, cell)[row, ring]
     )
     return centre, np.einsum("nxy,ny->nx", turn, states.pose.normals[row, ring])
 
@@ -179,7 +165,7 @@ def turns(curtain: Curtain, triangle: Index, E: Array, axes: Array) -> Array:
     else:
         two = to_curtain.T @ polar(F, _normals(curtain))[triangle] @ axes
         frames = np.concatenate([two, np.cross(two[:, :, 0], two[:, :, 1])[:, :, None]], axis=2)
-    return np.asarray(to_curtain @ frames @ about_normal(deformation_gradient(E)).transpose(0, 2, 1))
+    return np.asarray(to_curtain @ frames @ about_normal(rve.deformation_gradient(E)).transpose(0, 2, 1))
 
 
 def about_normal(F: Array) -> Array:
