@@ -13,7 +13,7 @@ import numpy as np
 
 from macro_fem.answer import Solution
 from macro_fem.bounds.interval import CurtainBounds
-from macro_fem.elastic_forces import with_forces
+from macro_fem.curtain import with_forces
 from macro_fem.output import files
 from macro_fem.output.forces import obstacle_summary
 from macro_fem.output.pictures import Pictures, plot_line_loads, plot_utilisation, write_curtain_page, write_pictures

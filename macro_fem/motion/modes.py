@@ -25,7 +25,7 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from macro_fem.answer import read_job
-from macro_fem.elastic_forces import forces_by
+from macro_fem.curtain import forces_by
 from macro_fem.fem.assembly import SparsityPattern, stiffness
 from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
 from macro_fem.fem.discretization import ELEMENTS

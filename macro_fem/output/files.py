@@ -10,8 +10,8 @@ import numpy as np
 
 from homogenize import CellInfo
 from macro_fem.bounds.interval import CurtainBounds
+from macro_fem.curtain import forces_by, forces_note
 from macro_fem.drag import wind_summary
-from macro_fem.elastic_forces import forces_by, forces_note
 from macro_fem.fem.cells import counterclockwise, padded
 from macro_fem.output import line_load, strength
 from macro_fem.output.forces import held_length, support_forces

@@ -231,7 +231,7 @@ class Load(Typed):
 @dataclass(frozen=True)
 class Solver(Typed):
     """`kind`: "rigid" is ideal locking, "elastic" the elastic law; "auto" is rigid, with forces of elastic rings where
-    rigid ones leave them open (`macro_fem.elastic_forces`).
+    rigid ones leave them open (`macro_fem.curtain`).
 
     `tolerance` is relative to the problem's energy scale, total load times size. `stabilising_tension` adds an even
     tension of this part of (total load / size) everywhere, which decides the shape of slack parts. The bounds in the

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from homogenize import default_law, ring_net
-from macro_fem.curtain import solve_problem, solve_scene
-from macro_fem.elastic_forces import NOT_UNIQUE, forces_note, self_balanced
+from macro_fem.curtain import NOT_UNIQUE, forces_note, self_balanced, solve_problem, solve_scene
 from macro_fem.job import solve
 from macro_fem.scene.scene import read_scene
 
