@@ -166,13 +166,13 @@ def highest(S: Array, points: Array) -> Array:
     return np.concatenate([(block @ weighted).max(axis=1) for block in np.array_split(S, len(S) // 4096 + 1)])
 
 
-def outer_vertices(S: Array, h: Array) -> Array:
-    """Vertices (m, 3) of {S_i:E <= h_i, v.(I + 2E) v >= 0}: S (n, 3), h (n,)."""
+def outer_vertices(S: Array, h: Array, beyond: float = 0.0) -> Array:
+    """Vertices (m, 3) of {S_i:E <= h_i, v.(I + 2E) v >= -2 beyond}: S (n, 3), h (n,)."""
     from scipy.spatial import HalfspaceIntersection, QhullError
 
     V = fibres(DIRECTIONS)
     normals = np.vstack([S * WEIGHT, -V * WEIGHT])
-    limits = np.concatenate([h, 0.5 * trace(V)])
+    limits = np.concatenate([h, 0.5 * trace(V) + beyond])
     inside = feasible_point(normals, limits)
     try:
         polyhedron = HalfspaceIntersection(np.column_stack([normals, -limits]), inside)

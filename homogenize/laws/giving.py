@@ -38,6 +38,8 @@ SAME = 1e-9
 """Half-spaces nearer to each other than this are one."""
 LEVELS = 13
 """Levels of tau between which support functions are interpolated."""
+FAR = 100.0
+"""Locked strains of a law of elastic curtains are not those of cells: bounds of I + 2E widen this much faster."""
 
 
 def constant_compliance(S: Array, work: Array, is_mirrored: bool) -> Array:
@@ -101,7 +103,9 @@ class GivingLaw(PolyhedralLaw):
         concave in tau and taken as linear between LEVELS of it.
         """
         tau = size * self.extra.max() * np.linspace(0.0, 1.0, LEVELS) ** 2
-        H = np.stack([highest(S, outer_vertices(self.S, self.h + one * self.extra)) for one in tau])
+        H = np.stack(
+            [highest(S, outer_vertices(self.S, self.h + one * self.extra, FAR * one * self.extra.max())) for one in tau]
+        )
         slope = np.diff(H, axis=0) / np.diff(tau)[:, None]
         at = np.clip(size * slope, tau[:-1, None], tau[1:, None])
         most = (size * (H[:-1] + slope * (at - tau[:-1, None])) - 0.5 * at**2).max(axis=0)

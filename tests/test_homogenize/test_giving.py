@@ -8,7 +8,7 @@ import pytest
 from homogenize import default_law, elastic_law
 from homogenize.fitting.fit import stiffness_by_direction
 from homogenize.laws.giving import constant_compliance, giving_law, work_along
-from rve.common.tensor import WEIGHT, double_dot, eigenvalues
+from rve.common.tensor import WEIGHT, double_dot, eigenvalues, trace
 
 LAW = default_law()
 GIVING = giving_law(LAW)
@@ -40,6 +40,9 @@ def test_the_energy_is_least_under_the_half_spaces():
     tau = np.sqrt(np.maximum(2.0 * (found.energy - floor), 0.0))
     assert GIVING.cut(np.column_stack([found.E_star, tau])).violation.max() < 1e-7
     assert E - found.E_star == pytest.approx(found.S @ GIVING.compliance.T, abs=1e-12)
+    i, size = trace(found.S).argmax(), trace(found.S).max()  # the largest load, under which locked strains widen far
+    both = size * LAW.support(found.S / size) + 0.5 * size**2 * GIVING.compliance_along(found.S / size, size)
+    assert both[i] == pytest.approx(double_dot(found.S[i], E[i]) - found.energy[i], rel=1e-4)
 
 
 def test_it_is_convex_monotone_and_tensile():
