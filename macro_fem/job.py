@@ -16,8 +16,7 @@ from homogenize import (
     with_material,
 )
 from macro_fem.answer import RECORD, Solution, read_job
-from macro_fem.bounds.interval import admissible_problem
-from macro_fem.bounds.interval import levels as refined_levels
+from macro_fem.bounds.interval import admissible_problem, levels
 from macro_fem.curtain import solve_problem
 from macro_fem.demand.options import OnDemand
 from macro_fem.membrane import MembraneSolution
@@ -93,8 +92,8 @@ def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -
     steps = _steps(scene, inner, scene.load.steps)
     if steps[-1].status != "converged":
         raise InputError(f"{scene.source}: [solver] bounds: need a converged curtain: {steps[-1].message}")
-    levels = tuple(refined_levels(scene, inner, outer, steps[-1]))
-    return MembraneSolution(scene, (*steps[:-1], levels[-1].solution), levels)
+    bounds = tuple(levels(steps[-1], outer))
+    return MembraneSolution(scene, (*steps[:-1], bounds[-1].solution), bounds)
 
 
 def solve_every_ring(scene: Scene, who: EveryRing) -> EveryRingSolution:

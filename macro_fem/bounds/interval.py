@@ -26,7 +26,7 @@ from macro_fem.fem.assembly import internal_force
 from macro_fem.fem.discretization import reference_shapes
 from macro_fem.fem.hung_law import largest_stretch
 from macro_fem.problem import CurtainProblem, make_problem
-from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
+from macro_fem.scene.meshing.mesh import CurtainMesh, refine
 from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution, slackened
 from macro_fem.solvers.central_path import solve_path
@@ -201,32 +201,23 @@ def error_map(F: Array, dual: DualProblem, result: PathResult) -> Array:
     return np.asarray((weight * result.psi.reshape(3, n)).sum(axis=0) - weight[0] * work)
 
 
-def levels(
-    scene: Scene,
-    law: MembraneLaw,
-    outer: MembraneLaw | None = None,
-    first: CurtainSolution | None = None,
-) -> Iterator[CurtainBounds]:
-    """The curtain on the scene's mesh and on `scene.solver.adapt` refinements of it, each with its bounds.
+def levels(first: CurtainSolution, outer: MembraneLaw | None = None) -> Iterator[CurtainBounds]:
+    """The curtain of an admissible problem and those on `solver.adapt` refinements of its mesh, each with its bounds.
 
-    The lower bound is that of an `outer` law that contains `law`. `first`: the curtain of the admissible problem on the
-    first mesh where it is solved already. Ends early if a solver did not converge.
+    The lower bound is that of an `outer` law that contains the curtain's. Ends early if a solver did not converge.
     """
-    mesh, solution = build_mesh(scene, law.cell) if first is None else first.problem.mesh, first
+    solution, scene, law = first, first.problem.scene, first.problem.law.own
     for number in range(scene.solver.adapt + 1):
-        work = f"{mesh.mesh.t.shape[1]} cells"
-        if solution is None or number:
-            with part_of(work, 0.0, 0.5):
-                solution = solve_problem(with_cones_of(admissible_problem(scene, law, mesh), solution))
-        if solution.status != "converged":
-            return
-        with part_of(f"{work}, bounds", 0.5, 1.0):
+        with part_of(f"{solution.problem.disc.n_cells} cells, bounds", 0.5, 1.0):
             bounds = bound(solution, outer=outer)
         yield bounds
-        if bounds.status != "converged":
+        if bounds.status != "converged" or number == scene.solver.adapt:
             return
-        if number < scene.solver.adapt:
-            mesh = refine(mesh, mark(bounds.error))
+        mesh = refine(solution.problem.mesh, mark(bounds.error))
+        with part_of(f"{mesh.mesh.t.shape[1]} cells", 0.0, 0.5):
+            solution = solve_problem(with_cones_of(admissible_problem(scene, law, mesh), solution))
+        if solution.status != "converged":
+            return
 
 
 def admissible_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: float = 1.0) -> CurtainProblem:

@@ -5,8 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import macro_fem
-from macro_fem.bounds.interval import bound, levels
+from macro_fem.bounds.interval import bound
 from macro_fem.curtain import solve_scene
+from macro_fem.job import solve_membrane
 from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.path import PathOptions
 from rve import Cell
@@ -92,7 +93,7 @@ def test_a_plane_curtain_in_space_has_the_bounds_of_the_plane(ring_like, scene_t
 
 def test_refinement_in_space_closes_the_interval(ring_like, scene_tables):
     exact = 90.0 + catenary_mean(100.0, 60.0, 10.0)
-    found = list(levels(hammock(scene_tables, [0.0, 90.0, 60.0], 4, adapt=1), ring_like))
+    found = solve_membrane(hammock(scene_tables, [0.0, 90.0, 60.0], 4, adapt=1), ring_like).levels
     widths = []
     for level in found:
         low, high = mean_height_bounds(level.solution, level)
@@ -158,7 +159,7 @@ def test_refinement_goes_with_a_wall(ring_like, scene_tables):
         solver={"adapt": 1, "stabilising_tension": 0.0},
     )
     wall = {"kind": "wall", "facing": [0.0, 0.0, 1.0], "point": [0.0, 0.0, -30.0]}
-    found = list(levels(read_scene({**tables, "obstacle": wall}), ring_like))
+    found = solve_membrane(read_scene({**tables, "obstacle": wall}), ring_like).levels
     assert len(found) == 2
     assert [level.solution.problem.disc.element for level in found] == ["P1", "P1"]
     assert found[-1].solution.wall_forces.sum() > 0.1 * 30.0 * 0.01

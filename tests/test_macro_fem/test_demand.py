@@ -13,7 +13,7 @@ import pytest
 
 from homogenize import default_law, law_interval, read_law_interval
 from homogenize.fitting.rows import with_mirror
-from macro_fem.bounds.interval import admissible_problem, bound, levels, loads_of
+from macro_fem.bounds.interval import admissible_problem, bound, loads_of
 from macro_fem.curtain import solve_problem
 from macro_fem.demand import rings as rings_module
 from macro_fem.demand.directions import first_directions, widest
@@ -128,7 +128,7 @@ def test_the_interval_of_exactly_known_rings_holds_their_answer(known_rings):
     assert high - low <= 0.05 * scale
     finer = square(cells=8, solver={"adapt": 1})
     law = law_interval(KNOWN.rows, cell=KNOWN.law.cell)
-    *_, best = levels(finer, law.inner, law.outer)
+    best = solve(finer, law).levels[-1]
     assert low < best.upper
     assert best.lower < high
     assert low < best.lower + 1e-3 * scale
