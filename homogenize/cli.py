@@ -90,8 +90,9 @@ def strength(law: Path, load: str | None, plot: Path | None, yield_stress: float
         read_entry({"--yield": yield_stress}, "--yield", Stress)
     if plot is not None:
         check_plot(plot, inputs=[law])
+    found = strength_answer(law, parse_load("1,0,1" if load is None else load), yield_stress)  # pictures need it too
     if load is not None:
-        answer(strength_answer(law, parse_load(load), yield_stress), always=True)
+        answer(found, always=True)
     if plot is not None:
         from homogenize.io import load_law
         from rve.common.drawing.plane import save_figure

@@ -11,7 +11,6 @@ from homogenize import interval_of_table, load_law, with_material
 from homogenize.cli import main
 from homogenize.fitting.fit import FitOptions, fit
 from homogenize.laws.giving import work_along
-from homogenize.query.answers import strength_answer
 from homogenize.strength import Strength, off_grid, read_strength, strength_of_table, tensile_part
 from rve import Material
 from rve.common.errors import InputError
@@ -110,8 +109,9 @@ def test_a_law_file_keeps_it(table, law, strength, tmp_path):
     one = fit(one_side).law
     assert one.strength.error is None  # a law, though its strength is not known
     one.save(tmp_path / "one.json")
-    with pytest.raises(InputError, match=r"one\.json: strengths need loads on all sides"):
-        strength_answer(tmp_path / "one.json", S[0])
+    for what in ("--S=1,0,1", f"--plot={tmp_path / 'strength.png'}"):
+        ended = CliRunner().invoke(main, ["strength", str(tmp_path / "one.json"), what])
+        assert "one.json: strengths need loads on all sides" in ended.output
     assert again.utilisation(S) == pytest.approx(strength.utilisation(S), rel=1e-14)
     assert again.error == strength.error
     assert again.material == Material(yield_N_per_mm2=400.0, ultimate_N_per_mm2=500.0)
