@@ -109,14 +109,11 @@ def _check_sides(mesh: Any) -> None:
             raise InputError(f"the point ({x:g}, {y:g}) lies on the side of a cell that it is no corner of")
 
 
-ROUND = 1e-4
-"""Curves of a DXF file become chords that leave them by about this part of the size of the drawing."""
-
-
-def read_outline(path: Path) -> dict[str, Any]:
+def read_outline(path: Path, departure: float = 1e-4) -> dict[str, Any]:
     """Keys `outline` and `holes` of a shape from the closed curves of a DXF file in mm: the largest is the outline.
 
-    Layers that are off or frozen are left out. InputError without ezdxf, for no such file, another unit, no curves.
+    Layers that are off or frozen are left out. departure: of chords from round curves, over the size of the drawing.
+    InputError without ezdxf, for no such file, another unit, no curves, and periodic splines.
     """
     require("ezdxf", "cad", "a DXF outline", "give its corners as outline")
     import ezdxf.path
@@ -124,10 +121,16 @@ def read_outline(path: Path) -> dict[str, Any]:
     try:
         drawing = ezdxf.readfile(path)
         hidden = {layer.dxf.name.lower() for layer in drawing.layers if layer.is_off() or layer.is_frozen()}
-        curves = drawing.modelspace().query("LWPOLYLINE POLYLINE CIRCLE ELLIPSE SPLINE")
-        ways = [ezdxf.path.make_path(one) for one in curves if one.dxf.layer.lower() not in hidden]
+        drawn = drawing.modelspace().query("LWPOLYLINE POLYLINE CIRCLE ELLIPSE SPLINE")
+        curves = [one for one in drawn if one.dxf.layer.lower() not in hidden]
+        ways = [ezdxf.path.make_path(one) for one in curves]
+        splines = [
+            way for one, way in zip(curves, ways, strict=True) if one.dxftype() == "SPLINE" and one.dxf.flags & 1
+        ]
+        if not all(way.is_closed for way in splines):
+            raise ValueError("a periodic spline: make it a polyline")  # ezdxf draws another line
         ways = [way for way in ways if len(way) and way.is_closed]
-        chord = ROUND * max(ezdxf.path.bbox(ways).size) if ways else 0.0
+        chord = departure * max(ezdxf.path.bbox(ways).size) if ways else 0.0
         rings = [[(x, y) for x, y, _ in way.flattening(chord)][:-1] for way in ways]
     except Exception as error:  # ezdxf raises whatever damaged data leads to
         what = str(error).split("\n")[0] or "it is damaged or cut off"
