@@ -16,7 +16,7 @@ import numpy as np
 
 from homogenize import MembraneLaw, with_material
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.problem import CurtainProblem, gathered_start, make_problem, stabilising_tension, unit_tensors
+from macro_fem.problem import CurtainProblem, gathered_start, make_problem, stabilising_tension
 from macro_fem.scene.meshing.mesh import build_mesh, components
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.supports import told
@@ -139,7 +139,7 @@ def _solve_within_reach(
     """
     spec, size = problem.scene.solver, problem.mesh.size
     load, z = problem.fem.gather(problem.force), problem.fem.unknowns(x)
-    tension = problem.fem.force(stabilising_tension(problem) * unit_tensors(problem))
+    tension = problem.fem.force(stabilising_tension(problem) * problem.frame)
     violation = max(PathOptions.violation, COUNTED * spec.tolerance)
     options = PathOptions(gap=spec.tolerance, violation=violation, max_iterations=spec.max_iterations, cones=cones)
     if problem.scene.solver.is_elastic:
@@ -165,7 +165,7 @@ def make_solution(
     work = float((problem.force * (x - fem.reference)).sum())
     shift = float(fem.gather(problem.force) @ result.z) - work  # what supports and the choice of origin add to -l.z
     held = fem.gradient(np.zeros_like(result.z))
-    held_part = float((fem.disc.weight[:, None, None] * tension * unit_tensors(problem) * held).sum())
+    held_part = float((fem.disc.weight[:, None, None] * tension * problem.frame * held).sum())
     allowance = _tension_allowance(problem, tension)
     scale = load_scale(problem.force, problem.disc.weight) * problem.mesh.size
     stored = float(fem.disc.weight @ problem.elastic_law.response(green_strain(F)).energy) if elastic else 0.0

@@ -178,11 +178,6 @@ def stabilising_tension(problem: CurtainProblem) -> float:
     return problem.scene.solver.stabilising_tension * float(np.abs(problem.force).sum()) / problem.mesh.size
 
 
-def unit_tensors(problem: CurtainProblem) -> Array:
-    """The frame at every point (nq, d, 2): the unit tensor of a plane curtain."""
-    return np.broadcast_to(problem.frame, (problem.disc.n_points, problem.fem.d, 2))
-
-
 def gathered_start(problem: CurtainProblem) -> Array:
     """Positions (n_nodes, d) of the curtain drawn up into a line through its supports: slack wherever it can be."""
     middle, A = supported_map(problem)

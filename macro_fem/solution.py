@@ -9,7 +9,7 @@ import numpy as np
 
 from macro_fem.fem.assembly import gradient, internal_force, load_vector
 from macro_fem.fem.cells import padded, recovered
-from macro_fem.problem import CurtainProblem, gathered_start, unit_tensors
+from macro_fem.problem import CurtainProblem, gathered_start
 from macro_fem.solvers.cones import Cones, green_strain, least_slack
 from macro_fem.solvers.status import FREE, ROUNDING, Evidence, Judged, Reach, Settling, Verdict, judged, load_scale
 from rve.common import Array
@@ -139,7 +139,7 @@ class CurtainSolution(Judged):
     @cached_property
     def unbalanced(self) -> Array:
         """Inner forces less loads and pushes of obstacles at all nodes (n_nodes, d), N."""
-        own = self.P - self.tension * unit_tensors(self.problem)
+        own = self.P - self.tension * self.problem.frame
         return internal_force(self.problem.disc, own) - self.problem.force - self.pushes
 
     @property

@@ -16,7 +16,7 @@ from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import HalfSpaces, MembraneLaw
 from macro_fem.curtain import solve_problem
 from macro_fem.fem.assembly import load_vector
-from macro_fem.problem import CurtainProblem, gathered_start, make_problem, stabilising_tension, unit_tensors
+from macro_fem.problem import CurtainProblem, gathered_start, make_problem, stabilising_tension
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.central_path import solve_path
@@ -77,7 +77,7 @@ def height(problem: CurtainProblem) -> tuple[bool, float]:
 def rigid(problem: CurtainProblem, options: PathOptions = PATH) -> PathResult:
     """Ideal locking with these options, in the plane or in space."""
     fem, start = problem.fem, gathered_start(problem)
-    load = fem.gather(problem.force) + fem.force(stabilising_tension(problem) * unit_tensors(problem))
+    load = fem.gather(problem.force) + fem.force(stabilising_tension(problem) * problem.frame)
     return solve_path(fem, problem.law, load, fem.unknowns(start), problem.mesh.size, options)
 
 

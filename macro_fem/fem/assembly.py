@@ -94,7 +94,8 @@ def gradient(disc: Discretization, v: Array) -> Array:
 
 
 def internal_force(disc: Discretization, P: Array) -> Array:
-    """Nodal forces f_ai = sum_p w_p P_pij dphi_a/dx_j (n_nodes, d) of the stress P = dpsi/dF (n_points, d, 2), N."""
+    """Nodal forces f_ai = sum_p w_p P_pij dphi_a/dx_j (n_nodes, d), N, of P = dpsi/dF: (n_points, d, 2) or (d, 2)."""
+    P = np.broadcast_to(P, (disc.n_points, *P.shape[-2:]))
     d, wJ = P.shape[1], disc.inverse_jacobian * disc.weight.reshape(disc.n_quad, -1)
     P = np.ascontiguousarray(np.moveaxis(P, 0, -1)).reshape(d, 2, disc.n_quad, -1)
     pulled = np.stack([P[:, 0] * wJ[J, 0] + P[:, 1] * wJ[J, 1] for J in range(2)], axis=2)

@@ -90,7 +90,7 @@ class SupportedFem:
         return gradient(self.disc, self.spread(dz))
 
     def force(self, P: Array) -> Array:
-        """B^T (w P) (n,)."""
+        """B^T (w P) (n,) of P (nq, d, 2), or (d, 2) everywhere."""
         return self.gather(internal_force(self.disc, P))
 
     def gather(self, nodal: Array) -> Array:

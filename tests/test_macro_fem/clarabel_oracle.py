@@ -20,7 +20,7 @@ from homogenize import MembraneLaw
 from macro_fem.curtain import make_solution
 from macro_fem.fem.assembly import internal_force
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.problem import CurtainProblem, stabilising_tension, unit_tensors
+from macro_fem.problem import CurtainProblem, stabilising_tension
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.cone_program import REACH
 from macro_fem.solvers.cones import Cones, all_cuts, first_cones, green_strain, least_slack, with_cuts
@@ -43,7 +43,7 @@ programs solved at most, each with the half-spaces that the one before violated.
 
 def curtain_by_clarabel(problem: CurtainProblem) -> CurtainSolution:
     """The rigid curtain of a problem whose supports can move farther apart, with status and numbers like our own."""
-    load = problem.force + internal_force(problem.disc, stabilising_tension(problem) * unit_tensors(problem))
+    load = problem.force + internal_force(problem.disc, stabilising_tension(problem) * problem.frame)
     found = solve_clarabel(problem.fem, problem.law, problem.fem.gather(load), problem.mesh.size, walls=problem.walls)
     return make_solution(problem, found, FREE, None)
 
