@@ -150,14 +150,14 @@ def _further_states(rows: RowStates, mesh: LoadedCell) -> KnownStates:
 
 def _dead_states(rows: RowStates, mesh: LoadedCell) -> KnownStates:
     """Locked states under the S of some rows as dead loads, from the slack pose and from a random admissible pose each,
-    with their images; only those whose paths promise more work than the state of their own row does.
+    or two for weaves without images, with their images; only those whose paths promise more work than their own row's.
     """
     good = rows.take(np.isfinite(rows.E[:, 0]))
     thin = good.S[:, 0] * good.S[:, 2] - good.S[:, 1] ** 2 < 1e-6
     sample = good.take(thin | (np.arange(len(thin)) % SAMPLE == 0))
-    n = len(sample.S)
-    S, E = np.tile(sample.S, (2, 1)), np.tile(sample.E, (2, 1))
-    start = start_pose(mesh.dead.weave, n).join([random_poses(mesh.dead, n)])
+    n, tries = len(sample.S), 2 if mesh.dead.weave.has_images else 3
+    S, E = np.tile(sample.S, (tries, 1)), np.tile(sample.E, (tries, 1))
+    start = start_pose(mesh.dead.weave, n).join([random_poses(mesh.dead, n * (tries - 1))])
     pick, found = follow_promising(S, E, mesh, start)
     return KnownStates.of(mesh, found, S[pick]).with_images(mesh)
 
