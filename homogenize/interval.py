@@ -5,8 +5,6 @@ The hull of the rows' strains is inside the rings' law, the polyhedron of their 
 load, which the outer one needs, and strains between locked ones are admissible, which the inner one needs.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 

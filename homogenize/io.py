@@ -3,8 +3,6 @@
 `homogenize.laws.stored` writes them.
 """
 
-from __future__ import annotations
-
 import pkgutil
 from dataclasses import dataclass, replace
 from importlib import import_module

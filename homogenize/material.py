@@ -1,7 +1,5 @@
 """Laws for rings of another material than that of their table."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, TypeVar, cast

@@ -1,7 +1,5 @@
 """The answer that `macro_fem.solve` gives, whoever has been asked: a law, the rings on demand, or every ring."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path

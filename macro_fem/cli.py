@@ -1,7 +1,5 @@
 """The command line: python -m macro_fem run scene.toml [--law law.json] --out DIR."""
 
-from __future__ import annotations
-
 from itertools import takewhile
 from pathlib import Path
 from typing import Any

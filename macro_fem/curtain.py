@@ -7,8 +7,6 @@ the mesh is wide, are where the potential has a kink: columns of rings lock side
 ways. Elastic rings have one answer.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 

@@ -8,8 +8,6 @@ Wind that follows presses along a: a pressure per present area, a speed by its c
 q C_D (a . w / |a|)^2, on 1/|a| layers.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

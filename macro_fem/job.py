@@ -1,7 +1,5 @@
 """Solving a scene, from Python and from files."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -6,8 +6,6 @@ forces of that one are tried again with half the part, and all but the newest fe
 far below -1, so that rounds swing between a curtain that flies and one that hangs.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rve.common import Array

@@ -1,7 +1,5 @@
 """A scene made discrete: mesh, supports, loads, law and obstacles of one load step."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

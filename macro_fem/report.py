@@ -1,7 +1,5 @@
 """The report of a run: two pages of A4, or more of long tables, as PDF, vector graphics by matplotlib."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Iterable
 from itertools import zip_longest

@@ -1,7 +1,5 @@
 """The largest pitch, bar or wind, or the thinnest wire, with which a curtain holds with a factor that is asked for."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A solved curtain: the record that status, pictures and files are made of."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 

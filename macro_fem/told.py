@@ -1,7 +1,5 @@
 """Sentences that the commands print, made from the records that they write."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any

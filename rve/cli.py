@@ -3,8 +3,6 @@
 How commands end: `rve.common.commands.command_line`.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from pathlib import Path

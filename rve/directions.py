@@ -1,7 +1,5 @@
 """Load directions: grids, files, and angles as a user types them."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a run of rings used and left out, and why: one short table made from what the solver met."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from rve.equilibrium.interior_point import LockedStates

@@ -1,7 +1,5 @@
 """Stiffness and strength of the rings as columns of a solved table."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From load directions to a strain-load table."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import asdict, replace
 from typing import Any

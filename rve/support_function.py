@@ -1,7 +1,5 @@
 """The support function of the rings: the largest work S:E of a dead second Piola-Kirchhoff line load, with its pose."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -11,8 +11,6 @@ PROPS(3) is a stiffness (N/mm) of slack mesh too in the first step, a hundredth 
 elastic curtains use that of each direction (`homogenize.elastic_law`).
 """
 
-from __future__ import annotations
-
 from importlib import resources
 from pathlib import Path
 

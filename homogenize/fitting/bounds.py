@@ -5,8 +5,6 @@ C = I + 2E is positive semidefinite for every deformation, so h(S) <= max S:E ov
 v.C v >= 0 for `DIRECTIONS` vectors v, keep the outer polyhedron bounded where the rows' loads do not reach.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

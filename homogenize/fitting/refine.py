@@ -7,8 +7,6 @@ strain and obeys every row's half-space, whatever the prediction. Loads of rank 
 disc, closely, because a polyhedron carries no load outside the hull of its normals.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import permutations
 from typing import Annotated

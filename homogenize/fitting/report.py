@@ -1,7 +1,5 @@
 """How wrong a law can be: bounds without any reference, rows left out, the worst direction by name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -10,8 +10,6 @@ is violated most and keeps the best of the subsets that hold it; their dual ener
 round to round, so no active set returns and the iteration ends.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations

@@ -14,8 +14,6 @@ With y = (R E, tau) as in `homogenize.laws.geometry` this is the closest point o
 whose half-spaces at most four are active.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """Pictures of a law alone: cuts through the admissible strains, strength. `homogenize.plots` adds those of tables."""
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The error report of a law: records that a law file holds. `homogenize.fitting.report` computes them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """Answers for the command line: the strain under a load direction and the support at a load, as plain dictionaries."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any

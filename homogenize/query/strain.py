@@ -5,8 +5,6 @@ The pair (E, S), E on the surface and S normal to it, is parametrised by the str
 smoothly through vertices, where E stands still, and through flat faces, where S does. Newton solves S(X) = load(E(X)).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

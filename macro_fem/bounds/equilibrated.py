@@ -17,8 +17,6 @@ coefficients: node 2 f + k belongs to end k (corner `facets[k, f]`) of edge f, n
 space P is 3 x 2 and all of this holds component by component. Walls push evenly in every triangle.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -9,8 +9,6 @@ integral of kappa |r| s over the spread reaction r is subtracted. The width of t
 triangles of  integral of psi*(P) - P:F >= 0  plus what points cost.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

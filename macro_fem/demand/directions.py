@@ -1,7 +1,5 @@
 """Which load directions to ask the rings for: those whose stresses widen the interval most, apart from each other."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 

@@ -9,8 +9,6 @@ over the stresses of the curtain (`macro_fem.bounds.interval.Loads`), the mesh's
 asked for their strength, also where the curtain comes nearest to yield.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

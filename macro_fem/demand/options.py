@@ -1,7 +1,5 @@
 """The law asked of the rings on the way: from Python, and as the command line says it."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 A direction is a point x of the unit disc, S = (1 + x1, x2, 1 - x1)/2 of unit trace; its rim is the loads of rank one.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields, replace
 from functools import cached_property

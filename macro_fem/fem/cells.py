@@ -1,8 +1,6 @@
 """Cells of a plane mesh: areas, sense, averages at corners; plane vectors in space, where x points to the right, y up,
 z towards the viewer."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import sparse
 

@@ -9,8 +9,6 @@ Example:
     (16, 48, 2.0)
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any

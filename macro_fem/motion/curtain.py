@@ -1,7 +1,5 @@
 """A curtain in motion, step by step: the step, its account, its record, and what is written and drawn of it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,8 +1,6 @@
 """Files of anything in motion: motion.csv, a series for ParaView, summary.json, pictures, and motion.npz, from which it
 goes on."""
 
-from __future__ import annotations
-
 import hashlib
 import shutil
 import subprocess

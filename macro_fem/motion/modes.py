@@ -11,8 +11,6 @@ once, with their number. Left out are shapes that alternate from node to node, w
 and those of slack parts, which nothing but inertia resists (`SLACK_HZ`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How anything in motion goes on: its frames, one per step, how long steps are, impacts, and how a run ends."""
 
-from __future__ import annotations
-
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence

@@ -4,8 +4,6 @@ Places x (2 n + b, 3) of a moment are those of `rve.ring_places`: n centres, n p
 centres of balls.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

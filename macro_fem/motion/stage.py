@@ -1,8 +1,6 @@
 """What acts in a scene in motion at a moment: histories, masses lumped at the nodes, weights, winds; half-spaces of
 obstacles at their places at the end of a step, of bodies with mass, and of small motions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -30,8 +30,6 @@ With dx = x+ - x_n and M a+ = f + supports + pushes - B^T (w P+) - damping M v+ 
 Every term comes from its own formula, so their sum closes only as far as the step was solved.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

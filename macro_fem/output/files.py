@@ -1,7 +1,5 @@
 """What summary.json says of a solved curtain, with bounds and interval, and curtain.vtu."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any

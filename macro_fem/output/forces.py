@@ -1,7 +1,5 @@
 """Forces on a curtain: of supports, of obstacles and at points; in sum, as tables, and as arrows for pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -6,8 +6,6 @@ with the mesh, and is what the rings there bear. The mean at a point is taken ov
 it, in the reference state, that has this area: a disk inside, half a disk on an edge, a quarter at a corner.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Pictures of solved curtains; plot functions take a solution and axes, and return the axes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path

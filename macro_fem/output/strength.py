@@ -13,8 +13,6 @@ from the point. It is the largest average of the continuous curtain if all of f 
 (up to 1.4-fold at a square corner, 2-fold at an edge): an estimate, no bound, as rings are weaker along other lines.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any

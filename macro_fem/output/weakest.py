@@ -1,8 +1,6 @@
 """The weakest link of a curtain, from its summary: the mesh, the ring at a hook, or the hook itself; and the load
 combination that governs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any, NamedTuple

@@ -3,8 +3,6 @@
 Both come from an answer in memory, or from the files of `macro_fem run`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path

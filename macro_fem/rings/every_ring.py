@@ -1,7 +1,5 @@
 """A scene solved ring by ring: who is asked, the answer and its files; beside the homogenized membrane."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What `localize` returns: every ring of a curtain, with its files, its picture and its summary."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property

@@ -7,8 +7,6 @@ nearest rotation, which never turns a cell over. In space F is 3 x 2, the column
 axes, orthogonal, and their cross product is the normal of the sheet.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -4,8 +4,6 @@ What a finite-element mesh with one cell per reference cell of the weave holds o
 ring; a rectangle of whole cells has one there. The weight of a ring is that of its share of the reference area.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

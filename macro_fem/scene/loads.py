@@ -9,8 +9,6 @@ resistance k = 1/beta^2 - 1 and the speed u of the air in the plane of the plate
 n layers of solidity s behind each other are one screen of solidity 1 - (1 - s)^n on the front that they share.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

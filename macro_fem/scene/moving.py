@@ -3,8 +3,6 @@
 Times are s, velocities mm/s, masses kg; a history lists pairs [time, share] between which the share changes evenly.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 

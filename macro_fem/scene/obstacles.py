@@ -4,8 +4,6 @@ Every obstacle answers with tangent half-spaces normal . x >= offset: the normal
 place, the offset its support function, the largest normal . y of its points y.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 

@@ -1,7 +1,5 @@
 """Shapes of the sheet, and the finite elements that it is divided into."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal

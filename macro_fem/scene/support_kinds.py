@@ -1,7 +1,5 @@
 """Kinds of supports: what holds the curtain, each a class with its keys and what it holds."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Supports of a scene as held components of nodes; what they contradict, leave to fall or let slide is refused."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 

@@ -5,8 +5,6 @@ towards the viewer; a rectangle spans from (0, 0) to (width, height), a disk is 
 three components and are kept as given; a third one that is not 0 takes the curtain into space.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Literal
 

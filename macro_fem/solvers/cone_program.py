@@ -27,8 +27,6 @@ to Newton's matrix.
 A step of motion adds (x - x_hat).W (x - x_hat) / 2 over the nodes to what is minimised (`Inertia`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -5,8 +5,6 @@ handful: a step that would leave the law is shortened, and the half-spaces in it
 still is inside them, with the dual vectors that the central path would have given them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a path is asked for, what a curtain has beside law and load, and what the path ends in."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -10,8 +10,6 @@ added, and no interior point exists. So the law is relaxed by a relative stretch
 x / (1 + g) hangs from supports drawn together by as much.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

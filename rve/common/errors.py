@@ -1,7 +1,5 @@
 """What can go wrong, each with a name and a sentence that says what happened and what to try."""
 
-from __future__ import annotations
-
 import reprlib
 from collections.abc import Iterator
 from contextlib import contextmanager

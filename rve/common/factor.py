@@ -1,7 +1,5 @@
 """Factors of sparse symmetric matrices: CHOLMOD where scikit-sparse is installed, else SuperLU, which scipy has."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from importlib.util import find_spec
 from typing import Any

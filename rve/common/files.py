@@ -9,8 +9,6 @@ new files by their checksums (`check_belongs`). The next job removes the files t
 their content is still the listed one. Other files are never removed.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -6,8 +6,6 @@ Elastic constants are nominal; data sheets differ by some 3 % (titanium: 102 to 
 0.37).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """Mesh files by meshio, and the names of the fields in a curtain's file."""
 
-from __future__ import annotations
-
 import io
 import warnings
 from contextlib import redirect_stderr, redirect_stdout

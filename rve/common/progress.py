@@ -4,8 +4,6 @@ with shown():                       # a line on the terminal: work, bar, time, r
     solve_table(cell, loads)        # tells, as in tell("190 loads", 0.4), what is lost where nobody listens
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Arrays, and records of arrays with one row per case: rows taken, replaced and joined."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any, Self
 

@@ -1,7 +1,5 @@
 """Symmetric 2 x 2 tensors as triples (11, 12, 22) of tensor components on the last axis."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rve.common.records import Array

@@ -3,8 +3,6 @@
 A type may have a range, `Annotated[float, Meta(gt=0.0, le=1e6)]`; one with two ends keeps out NaN and infinite numbers.
 """
 
-from __future__ import annotations
-
 import difflib
 import re
 from collections.abc import Iterable, Mapping

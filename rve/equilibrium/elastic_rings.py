@@ -4,8 +4,6 @@ C is the dense flexibility between the contacts of a cell, the sum over its ring
 forces in s r1, and Young's modulus is 1: compliances are to be divided by E r1, stresses by r1.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 At beta = 0 and about 15 to 40 degrees of alpha the load only tightens one straight chain of rings.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Mixtures of two or three locked states that do the same work under the load of their mixed strain."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

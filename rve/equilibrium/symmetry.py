@@ -8,8 +8,6 @@ Symmetric forces balance every ring across the plane as well, which no equation 
 coordinates, gaps rounded to 1e-16 leave the shares of two contacts of one pair open by up to 7e-4.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

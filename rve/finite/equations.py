@@ -5,8 +5,6 @@ depends on where ring b is as seen from ring a and on the tilts of both, d = x_b
 `PAIR` = 7 numbers, in which the blocks of pairs are kept.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import sparse
 

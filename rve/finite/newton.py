@@ -7,8 +7,6 @@ A change of k weights in a matrix A with a factor needs k more solutions instead
 formula (A + U C U^T)^-1 b = x - Y (C^-1 + U^T Y)^-1 U^T x with x = A^-1 b and Y = A^-1 U.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

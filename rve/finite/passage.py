@@ -1,7 +1,5 @@
 """No wire passes through another in a step within bounds on the way of points of one ring as seen from another."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 

@@ -1,7 +1,5 @@
 """What a finite mesh is asked for: its forces, what holds it, where it starts, and its equations without units."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

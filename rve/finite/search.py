@@ -4,8 +4,6 @@ Where gaps would close the step is corrected with the factor at hand; where that
 such pair are damped against each other and the step is asked for again.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -11,8 +11,6 @@ where the iterates do not settle at it, so that a fold which runs through the me
 of `newton`.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -12,8 +12,6 @@ kinetic energy falls, the rings have passed an equilibrium and are stopped: dyna
 Inertia makes the matrix of a step positive definite where that of the rings at rest is not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

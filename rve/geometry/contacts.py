@@ -1,7 +1,5 @@
 """Contacts of a pose: those of all pairs of rings of a cell, and the exact derivatives of their distances."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement, product
 from typing import Any

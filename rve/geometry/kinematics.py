@@ -3,8 +3,6 @@
 Symmetric tensors are triples (11, 12, 22) on the last axis; the leading axis is the load case.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

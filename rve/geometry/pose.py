@@ -5,8 +5,6 @@ ones: x2, y3, t = tan gamma; centres; two tilts per ring, 9 for K = 2: the rotat
 spin of a torus about its axis is none. Centres have three components where the weave leaves them free across the plane.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ D - 2 r2/r1. The distance of a point to a circle is closed form, so one angle is
 minimum, polish by a safeguarded Newton iteration.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

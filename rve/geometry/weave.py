@@ -3,8 +3,6 @@
 Rings of one class are lattice translates: ring (k, i, j) is at c_k + i a1 + j a2, c_0 = 0. Lengths are in r1.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -6,8 +6,6 @@ v = T(q) u, are carried from step to step, so the centrifugal terms of the curve
 gyroscopic torques vanish. `tests/test_rve/ten_rings.py` is the reference form with every constraint written out.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import asdict, dataclass, replace
 from typing import Any

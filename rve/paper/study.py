@@ -1,7 +1,5 @@
 """The paper's study for our implementation: 190 load cases by its own scheme, and its published figures beside ours."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass

@@ -5,8 +5,6 @@ rigid part of a force is spread over the ring in the orders 0 and 1 and drops ou
 Forces (..., 3) are in the local axes r, t, z of their point; section forces are ordered as in `rve.ring.section`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rve.common import Array

@@ -5,8 +5,6 @@ Section forces are those of the part ahead (at larger angles) on the part behind
 the ring more sharply.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

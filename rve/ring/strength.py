@@ -5,8 +5,6 @@ being free. A section yields where (M_r^2 + M_z^2)/M_p^2 + M_t^2/T_p^2 = 1; axia
 r1/r2 = 10 and less for thinner wire.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

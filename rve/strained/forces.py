@@ -1,7 +1,5 @@
 """Contact forces of rings under the line load of a curtain: N, where, and that they add up to the line load."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rings of a weave in space: the axes of the weave, where rings of a cell are, how they fit their neighbours."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

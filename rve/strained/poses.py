@@ -13,8 +13,6 @@ or is elastic: `short`. And a curtain may be drawn together further than rings c
 folds, E* = E - fold with a positive semidefinite fold, and the flat pose E with the least fold is given: `fold`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

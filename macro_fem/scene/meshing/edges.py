@@ -7,8 +7,6 @@ greatest height, or, if there are none, of those that reach it and face up more 
 and face up: an arch, both slopes of a gable. The other sides are found in the same way; a chain has one name.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from functools import cached_property

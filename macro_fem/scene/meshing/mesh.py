@@ -2,8 +2,6 @@
 each with its named edges (`edges`) and nodes at hooks, held and loaded points (`places`).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Meshes in files as plane sheets, their groups of lines as named edges; outlines as DXF by ezdxf (extra `cad`)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

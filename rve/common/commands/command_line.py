@@ -10,8 +10,6 @@ prints sentences by `say`, the last one by `say_next`, and its record by `answer
     def main() -> None: ...
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import shlex

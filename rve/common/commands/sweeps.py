@@ -5,8 +5,6 @@ the checksums of all files that it has read and written; the same sweep started 
 depend on each other, so that files are the same to the bit for any number of workers, and after one was killed.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import signal
