@@ -178,12 +178,12 @@ class CurtainSolution(Judged):
         These are the singular values of P, averaged over neighbours first: forces per reference length, which the
         rings of a pitch carry, finite even where the mesh is drawn together to a line.
         """
-        _, values, Vt = np.linalg.svd(self.recovered(self.problem.disc.cell_mean(self.P)))
+        _, values, Vt = np.linalg.svd(self.recovered(self.P))
         return values, Vt[:, 0, :]
 
     def recovered(self, values: Array) -> Array:
-        """Cell values (n_cells, ...) averaged over neighbours: `macro_fem.fem.cells.recovered`."""
-        return recovered(self.problem.mesh.mesh.t.T, values, self.problem.disc.cell_area)
+        """Values at points, (n_cells, ...) averaged over cells and neighbours: `macro_fem.fem.cells.recovered`."""
+        return recovered(self.problem.mesh.mesh.t.T, self.problem.disc.cell_mean(values), self.problem.disc.cell_area)
 
     def state(self) -> np.ndarray:
         """Per cell 0 where it is slack, 1 where it is drawn in one direction (wrinkled), 2 where it is taut in both."""

@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import skfem
 from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 
@@ -19,7 +18,7 @@ from macro_fem.fem.cells import triangle_areas
 from macro_fem.output.forces import PointForce, point_forces
 from macro_fem.scene.loads import disk_areas
 from macro_fem.solution import CurtainSolution
-from rve.common import Array, digits
+from rve.common import Array, Index, digits
 
 WIDEST = 2.5
 """Averages reach no farther than this many radii of a disk of the same area, in corners of 60 degrees and more."""
@@ -92,18 +91,18 @@ def largest(solution: CurtainSolution) -> Extreme:
 
 def largest_mean(solution: CurtainSolution, area: float) -> Extreme:
     """The largest singular value of P averaged over the `area` (mm2) nearest to a corner of the mesh."""
-    P = solution.recovered(solution.problem.disc.cell_mean(solution.P))
+    P, mesh = solution.recovered(solution.P), solution.problem.mesh.mesh
     size = np.linalg.norm(P, 2, axis=(1, 2))
-    near = Nearby(solution.problem.mesh.mesh, P, size, area)
+    near = Nearby(mesh.p.T, mesh.t.T, P, size, area)
     return near.largest(lambda P: np.asarray(np.linalg.norm(P, 2, axis=(1, 2))))
 
 
 class Nearby:
-    """Averages of P (n, ...), constant in each triangle of a mesh, over the `area` (mm2) nearest to a point; size (n,):
-    convex in P, such as its largest singular value, so that averages have at most the largest of it."""
+    """Averages of P (n, ...), constant in triangles (n, 3) of points x (p, 2), over the `area` (mm2) nearest to one;
+    size (n,): convex in P, such as its largest singular value, so that averages have at most the largest of it."""
 
-    def __init__(self, mesh: skfem.MeshTri, P: Array, size: Array, area: float) -> None:
-        self.points, self.corners = mesh.p.T[np.unique(mesh.t)], mesh.p.T[mesh.t.T]
+    def __init__(self, x: Array, triangles: Index, P: Array, size: Array, area: float) -> None:
+        self.points, self.corners = x[np.unique(triangles)], x[triangles]
         self.P, self.size, self.area = P, size, area
         self.middle = self.corners.mean(axis=1)
         self.half = np.linalg.norm(self.corners - self.middle[:, None], axis=-1).max(axis=1)

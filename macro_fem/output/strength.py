@@ -75,7 +75,7 @@ def _numbers(solution: CurtainSolution, known: Strength, cell: CellInfo) -> dict
     """The values of `KEYS` where the strength is known, by what first yield and collapse ask of mesh and rings."""
     first, last = _largest_asked(solution, known, cell)
     mean, points, hook = first
-    pointwise = float(known.utilisation(solution.problem.law.in_weave(_loads(solution))).max())
+    pointwise = float(known.utilisation(solution.problem.law.in_weave(solution.recovered(solution.S))).max())
     most, collapse = (max(each, key=lambda one: one.value) for each in (first, last))
     mesh, area = solution.problem.mesh.mesh, solution.problem.disc.cell_area
     touching = np.abs(mesh.p[:, mesh.t] - mean.at[:, None, None]).max(axis=0) < 1e-9 * solution.problem.mesh.size
@@ -117,8 +117,9 @@ def judged_by(law: HungLaw) -> tuple[Strength, CellInfo] | str:
 
 def utilisation(solution: CurtainSolution) -> Array | None:
     """Utilisation of the rings of each cell (n_cells,), averaged over neighbours as S is; None if it is not known."""
-    by = judged_by(solution.problem.law)
-    return None if isinstance(by, str) else by[0].utilisation(solution.problem.law.in_weave(_loads(solution)))
+    law = solution.problem.law
+    by = judged_by(law)
+    return None if isinstance(by, str) else by[0].utilisation(law.in_weave(solution.recovered(solution.S)))
 
 
 def critical_load(solution: CurtainSolution) -> Array | None:
@@ -130,19 +131,14 @@ def critical_load(solution: CurtainSolution) -> Array | None:
     return max(mean, points, key=lambda one: one.value).load
 
 
-def _loads(solution: CurtainSolution) -> Array:
-    """S (n_cells, 3) in the frame of the curtain, averaged over neighbours."""
-    return solution.recovered(solution.problem.disc.cell_mean(solution.S))
-
-
 def _largest_asked(solution: CurtainSolution, known: Strength, cell: CellInfo) -> list[tuple[Extreme, ...]]:
     """Extreme utilisations by averages over one cell of the weave, by forces at points, and of the rings there; at
     first yield, and at collapse."""
-    own = _loads(solution)
+    own, mesh = solution.recovered(solution.S), solution.problem.mesh.mesh
     S = solution.problem.law.in_weave(own)
     # Utilisation is the tensile trace over a weighted mean of strengths, and the trace is convex in S.
     trace = np.maximum(eigenvalues(S), 0.0).sum(axis=0)
-    near = Nearby(solution.problem.mesh.mesh, S, trace, cell.b_x_mm * cell.b_y_mm)
+    near = Nearby(mesh.p.T, mesh.t.T, S, trace, cell.b_x_mm * cell.b_y_mm)
     first, last = hook_rings(solution, known, cell)
 
     def asked(value: Callable[[Array], Array], strengths: Array, ring: Extreme) -> tuple[Extreme, ...]:

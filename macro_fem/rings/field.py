@@ -24,8 +24,8 @@ RECORD = "localize.json"
 
 @dataclass(frozen=True)
 class WorstCell:
-    """The cell with the largest principal line load: number, status of its pose, contact forces, and the turn (3, 3)
-    into the curtain."""
+    """The cell around a ring with the largest line load: number, status of its pose, contact forces, and the turn
+    (3, 3) into the curtain."""
 
     number: int
     pose: str
@@ -47,7 +47,7 @@ class RingField:
 
     sites: where in the reference; centre_mm, normal (n, 3): centres and unit normals in the axes of the curtain;
     states: poses of the m cells, and row (n,) the cell of each ring in it; fit: gaps and links of the rings as placed;
-    contact_force_N (n,): largest contact force on each ring; worst: the cell with the largest principal line load;
+    contact_force_N (n,): largest contact force on each ring; worst: the cell around a ring with most line load;
     wall_s: seconds it took.
     """
 

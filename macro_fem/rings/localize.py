@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 import rve
 from macro_fem.fem.cells import mean_at_corners, padded, triangle_areas
+from macro_fem.output.line_load import Nearby
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites, curtain_file, read_curtain
 from macro_fem.rings.field import RECORD, RingField, WorstCell
@@ -70,22 +71,17 @@ def localize(curtain: Curtain | str | Path, options: LocalizeOptions | None = No
             "--window"
         )
 
-    def solved(cells: Index) -> tuple[rve.NearestPoses, Array]:
-        """Poses of some cells, and the Cauchy line loads (n, 3) on them."""
-        states = rve.nearest_poses(in_weave(curtain.E[cells], axes), cell, how, locked)
-        return states, rve.cauchy_of(in_weave(curtain.S[cells], axes), states.E)
-
     used, row = np.unique(sites.triangle, return_inverse=True)
-    states, loads = solved(used)
+    S = over_a_cell(curtain, used, cell.r1**2 * float(np.prod(locked.sides)))
+    states = rve.nearest_poses(in_weave(curtain.E[used], axes), cell, how, locked)
+    loads = rve.cauchy_of(in_weave(S, axes), states.E)
     tell(f"{len(sites.X)} rings in their places")
     centre, normal = place_rings(curtain, sites, states, row, cell, axes)
     tell(f"contact forces of {len(used)} cells")
     force = rve.largest_forces(loads, cell, how.direct)[row, sites.index[:, 0]]
-    among = np.arange(len(curtain.line_load)) if options.window is None else used
-    number = int(among[np.argmax(curtain.line_load[among])])
-    pose, load = solved(np.array([number]))
-    turn = turns(curtain, np.array([number]), pose.E, axes)[0]
-    worst = WorstCell(number, str(pose.status[0]), rve.cell_forces(load[0], cell, how.direct), turn)
+    most = int(np.argmax(curtain.line_load[used]))
+    turn = turns(curtain, used[[most]], states.E[[most]], axes)[0]
+    worst = WorstCell(int(used[most]), str(states.status[most]), rve.cell_forces(loads[most], cell, how.direct), turn)
     fit = rve.fit_rings(sites.index, centre, normal, cell)
     wall_s = round(time.perf_counter() - began, 3)
     return RingField(curtain, cell, sites, centre, normal, states, row, fit, force, worst, wall_s)
@@ -100,6 +96,15 @@ def run_localize(
     Pictures(picture, html=html, stem="rings").check(in_space=True)
     check_out_job(out, RECORD, inputs)
     return localize(path, options).save(out, picture=picture, html=html, inputs=inputs, **vtu)
+
+
+def over_a_cell(curtain: Curtain, triangles: Index, area: float) -> Array:
+    """S (n, 3) in triangles (n,) of a curtain, the mean over the `area` (mm2) of a cell of the weave around those that
+    are smaller: beside held points S grows with every refinement, what rings take does not."""
+    near, S = Nearby(curtain.X, curtain.triangles, curtain.S, curtain.line_load, area), curtain.S[triangles]
+    for k in np.flatnonzero(triangle_areas(near.corners[triangles]) < area):
+        S[k] = near.mean(near.middle[triangles[k]])
+    return S
 
 
 def in_weave(triples: Array, axes: Array) -> Array:

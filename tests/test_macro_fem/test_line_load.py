@@ -23,7 +23,7 @@ def nearby(n, load, area):
     """Averages of the P that `load` gives at the middles of a square's triangles, n along a side of 10 mm."""
     mesh = mesh_of(10.0, 10.0, n, n)
     P = load(mesh.p.T[mesh.t.T].mean(axis=1))
-    return Nearby(mesh, P, np.linalg.norm(P, 2, axis=(1, 2)), area)
+    return Nearby(mesh.p.T, mesh.t.T, P, np.linalg.norm(P, 2, axis=(1, 2)), area)
 
 
 @pytest.mark.parametrize("n", [2, 7, 40])

@@ -457,8 +457,8 @@ def test_the_largest_force_is_that_of_the_cell(alpha, beta):
 
 
 def test_the_ring_at_a_hook_is_told_beside_the_forces_away_from_supports(tmp_path):
-    """A heavy bar on two corners: two rings share half of the load each; cells of rings take less."""
-    scene = """[curtain]\nwidth = 120\nheight = 100\nweave_angle = 45\n[mesh]\ncells = 4\n[support]\nkind = "corners"
+    """A heavy bar on two corners: two rings share half of the load each; cells of rings take no more on fine meshes."""
+    scene = """[curtain]\nwidth = 120\nheight = 100\nweave_angle = 45\n[mesh]\ncells = 24\n[support]\nkind = "corners"
 rings_per_hook = 2\n[load.bar]\nmass = 3.0\n"""
     folder = curtain_folder(tmp_path, scene)
     (corners,) = json.loads((folder / "summary.json").read_text())["support_forces"]
@@ -468,7 +468,7 @@ rings_per_hook = 2\n[load.bar]\nmass = 3.0\n"""
     force = max(np.hypot(*one["force_N"]) for one in corners["points"]) / 2.0
     assert found["ring_at_support"]["support"] == "support 1 (corners)"
     assert found["ring_at_support"]["force_N"] == pytest.approx(force, rel=1e-12)
-    assert force > 0.25 * 3.0 * 9.81
     most = max(found["largest_contact_force_N"], found["worst_cell"]["largest_force_N"])
+    assert force > max(0.25 * 3.0 * 9.81, 0.9 * most)
     assert f"forces between rings away from supports: at most {most:.4g} N" in result.output
     assert f"the ring at support 1 (corners) that takes most is pulled by {force:.4g} N" in result.output

@@ -188,8 +188,8 @@ def test_the_largest_average_is_that_of_all_corners_of_the_mesh():
     tables = {"curtain": {"width": 60.0, "height": 60.0}, "support": {"kind": "corners"}, "mesh": {"cells": 8}}
     solution = solve_scene(read_scene(tables), default_law())
     law = solution.problem.law.own
-    mesh, S = solution.problem.mesh.mesh, solution.recovered(solution.problem.disc.cell_mean(solution.S))
-    near = Nearby(mesh, S, np.ones(len(S)), law.cell.b_x_mm * law.cell.b_y_mm)
+    mesh, S = solution.problem.mesh.mesh, solution.recovered(solution.S)
+    near = Nearby(mesh.p.T, mesh.t.T, S, np.ones(len(S)), law.cell.b_x_mm * law.cell.b_y_mm)
     means = np.array([near.mean(x) for x in mesh.p.T])
     told = summary(solution)
     assert told["utilisation_of_averages_max"] == pytest.approx(law.strength.utilisation(means).max(), rel=1e-12)
