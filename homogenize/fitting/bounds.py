@@ -73,7 +73,7 @@ def rim_kinks(E: Array, triangles: Index) -> Array:
     ends = np.unique(triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2), axis=0)  # a side has two
     first, way = E[ends[:, 0]], E[ends[:, 1]] - E[ends[:, 0]]
     x, y = disc(way).T
-    with np.errstate(invalid="ignore"):  # nan where no load of rank one does no work along the side
+    with np.errstate(divide="ignore", invalid="ignore"):  # nan where no load of rank one does no work along the side
         angle = np.arctan2(y, x) + np.arccos(-trace(way) / np.hypot(x, y))  # 2 S:way = trace(way) + disc(S).disc(way)
     S = from_disc(np.stack([np.cos(angle), np.sin(angle)], axis=1))
     return S[double_dot(S, first) >= highest(S, E) - 1e-12]
