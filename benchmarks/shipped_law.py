@@ -4,8 +4,6 @@ TABLE has the 190 rows of the paper's grid, made with `rve table --rings`, so th
 rings. Its stiffness is the stated one, of contacts: measurements and examples of elastic curtains refer to it.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import replace

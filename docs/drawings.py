@@ -1,7 +1,5 @@
 """The drawings of tutorial and reference: python docs/drawings.py [FOLDER], by default docs/drawings/."""
 
-from __future__ import annotations
-
 import ast
 import sys
 from collections.abc import Callable

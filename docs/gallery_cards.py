@@ -1,7 +1,5 @@
 """Numbers and pictures of the cards of gallery.md, by the default law: python docs/gallery_cards.py [NAME]..."""
 
-from __future__ import annotations
-
 import re
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """Locking strain against r1/r2, picture and table of locking_strain.md: python docs/locking_strain.py"""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

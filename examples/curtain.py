@@ -13,8 +13,6 @@ meshes are extrapolated. answer.json has the mean height.
 The checked number (tests/test_examples.py): the curtain's mean height lies inside rigorous bounds from another element.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ answer violates are added and the program is solved again (cutting planes). clar
 interior point and returns a certificate when there is no admissible state. P. J. Goulart, Y. Chen, arXiv 2405.12762.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import count
 

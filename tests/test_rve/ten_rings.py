@@ -8,8 +8,6 @@ with the periodic form, and nothing else: neither pair lists, reduction, mass ma
 Units: mm, kg, s.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
