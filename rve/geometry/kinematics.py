@@ -25,9 +25,8 @@ def cauchy_line_load(alpha_deg: ArrayLike, beta_deg: ArrayLike) -> Array:
 
 
 def _cos_sin(degrees: ArrayLike) -> tuple[Array, Array]:
-    angle = np.fmod(
-        np.asarray(degrees, dtype=float), 360.0
-    )  # numbers of quarters beyond those of integers have no turn
+    # Within one turn, since the number of quarters of huge angles is beyond integers.
+    angle = np.fmod(np.asarray(degrees, dtype=float), 360.0)
     quarter = np.round(angle / 90.0)
     rest = np.radians(angle - 90.0 * quarter)
     c, s = np.cos(rest), np.sin(rest)
