@@ -14,7 +14,7 @@ from macro_fem.scene.checks import check_scene
 from macro_fem.scene.meshing.mesh_files import read_outline
 from macro_fem.scene.moving import Ball, Motion
 from macro_fem.scene.obstacles import Obstacle, Start
-from macro_fem.scene.shapes import Mesh, MeshFile, Rectangle, Shape
+from macro_fem.scene.shapes import Mesh, MeshFile, Outline, Rectangle, Shape
 from macro_fem.scene.sites import Support
 from macro_fem.scene.tables import Combination, Item, LiveLoad, Load, Solver, Vector, in_3d, leaves_plane
 from rve.common import Array, InputError, Typed, as_html, read_toml, read_typed, refuse_unknown, shown
@@ -158,7 +158,7 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     curtain = {"shape": "rectangle"} | data["curtain"]
     if curtain["shape"] == "dxf":
         curtain = _from_dxf(curtain, Path(source))
-    shape = read_records(curtain, Shape.kinds, f"{source}: [curtain]", "shape")[0]
+    shape = read_records(curtain, Shape.kinds | {"dxf": Outline}, f"{source}: [curtain]", "shape")[0]
     parts: dict[str, Any] = {
         name: read_typed(cls, single[name], f"{source}: [{name}]") for name, cls in PARTS.items() if name in single
     }

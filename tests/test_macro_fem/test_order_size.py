@@ -163,6 +163,9 @@ def test_an_outline_goes_to_cad_and_back(tmp_path):
     panel.modelspace().add_circle((20, 20), 5)
     panel.modelspace().add_circle((20, 20), 500, dxfattribs={"layer": "NOTES"})
     panel.saveas(tmp_path / "round.dxf")
+    line = panel.modelspace().add_line((70, 20), (80, 20))
+    panel.saveas(tmp_path / "gap.dxf")
+    line.destroy()
     panel.modelspace().add_spline().set_closed([(70, 20, 0), (80, 20, 0), (80, 30, 0), (70, 30, 0)])
     panel.saveas(tmp_path / "endless.dxf")
     for name, share in (("panel", 1.0), ("round", 1.0 - math.pi / 312.0)):
@@ -175,7 +178,8 @@ def test_an_outline_goes_to_cad_and_back(tmp_path):
     for name, text in (("words", "no drawing"), ("cut", (tmp_path / "panel.dxf").read_text()[:300])):
         (tmp_path / f"{name}.dxf").write_text(text)
     refused = {"empty": "needs closed curves"} | dict.fromkeys(("words", "cut", "none"), "cannot be read as DXF")
-    refused |= {"endless": "periodic", "inches": "unit inches", "": "file: is missing", "panel": "holes = .*unknown"}
+    refused |= {"endless": "not closed", "gap": r"from \(70, 20\) is not closed", "inches": "unit inches"}
+    refused |= {"": "file: is missing", "panel": "holes = .*unknown"}
     for name, words in refused.items():
         curtain = {"shape": "dxf", "file": name and f"{name}.dxf"} | ({"holes": []} if name == "panel" else {})
         with pytest.raises(InputError, match=words):

@@ -19,6 +19,7 @@ curtain.width = nan -> [curtain] width = nan
 curtain.width = 1e9 -> units
 mesh.cells = 20000 -> use fewer
 curtain = {shape = "file", file = "mesh.msh"} -> cells = 4: has no effect with shape = "file"
+curtain = {shape = "square"} -> shape = 'square': is not one of rectangle, disk, outline, file, dxf
 curtain.weave_angel = "y" -> did you mean weave_angle?
 solvr = {} -> solvr: unknown table
 support = {kind = "top", gather = 1.9} -> farther apart
@@ -63,8 +64,7 @@ support = {kind = "edge", edge = "top", held = "yz"}; load.wind = {pressure = 4,
 support = {kind = "edge", edge = "top", held = "xz"}; load.wind = {pressure = 6, direction = [0, 0, 1]} -> along y
 obstacle = {kind = "cube"} -> [obstacle] kind = 'cube': is not one of floor, wall, sphere, cylinder, box
 obstacle = {kind = "cylinder", axis = [0, 0, 0], radius = 1} -> axis = [0.0, 0.0, 0.0]: has no direction
-obstacle = {kind = "box", corner = [0, 0, 0], size = [9, 4, 9], rounding = 3}
-  -> is more than half of its least length, 4 mm
+obstacle = {kind = "box", corner = [0, 0, 0], size = [9, 4, 9], rounding = 3} -> half of its least length, 4 mm
 obstacle = {kind = "floor", height = 120.0} -> floor: top is 20 mm inside it
 obstacle = {kind = "sphere", centre = [50, 100, 0], radius = 30} -> sphere: top is 30 mm inside it
 obstacle = {kind = "sphere", centre = [50, 40, 5], radius = 30} -> 24.4 mm inside it before anything moves
@@ -85,15 +85,13 @@ start = {origin = [0, 0, 0], y_axis = [1, 1, 0]}; obstacle = {kind = "sphere", c
   -> [start] y_axis = [1.0, 1.0, 0.0]: is not at a right angle to x_axis
 support.kind = "rail"; obstacle = {kind = "wall", facing = [1, 1], point = [50, 10]} -> nothing carries the force of
 load.wind = {pressure = 1000, direction = [1, 0, 0], follows = true} -> lies in the flat sheet
-solver.bounds = true; obstacle = {kind = "sphere", centre = [50, 50, -60], radius = 20}
-  -> [solver] bounds and adapt: do not go with sphere
+solver.bounds = true; obstacle = {kind = "sphere", centre = [50, 50, -60], radius = 20} -> adapt: do not go with sphere
 solver.bounds = true; load.wind = {pressure = 5, direction = [0, 0, 1], follows = true} -> go with following pressure
 motion.duration = 0.1; support = [] -> nothing holds
 motion = {duration = 1.0, step = 2.0} -> longer than the duration
 motion = {duration = 1e-300} -> expected a number >= 1e-09
 motion.duration = 1.0; body = {kind = "sphere", radius = 50, mass = -1, at = [50, 50, 9]} -> mass = -1
-motion.duration = 1.0; solver.space = true; body = {kind = "sphere", radius = 50, mass = 1, at = [50, 50, 9]}
-  -> inside it at the start
+motion.duration = 1.0; solver.space = true; body = {kind = "sphere", radius = 50, mass = 1, at = [50, 50, 9]} -> inside
 motion.duration = 1.0; obstacle.kind = "floor"; body = {kind = "sphere", radius = 9, mass = 1, at = [0, 5, 99]} -> 4 mm
 motion.duration = 1.0; support = {kind = "top", history = [[1.0, 0.0], [0.5, 1.0]]} -> does not come after
 motion.duration = 1.0; support = {kind = "top", history = [[0.0, nan]]} -> history

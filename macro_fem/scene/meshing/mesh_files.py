@@ -111,7 +111,7 @@ def read_outline(path: Path, departure: float = 1e-4) -> dict[str, Any]:
     """Keys `outline` and `holes` of a shape from the closed curves of a DXF file in mm: the largest is the outline.
 
     Layers that are off or frozen are left out. departure: of chords from round curves, over the size of the drawing.
-    InputError without ezdxf, for no such file, another unit, no curves, and periodic splines.
+    InputError without ezdxf, for no such file, another unit, no curves, and curves that are not closed.
     """
     require("ezdxf", "cad", "a DXF outline", "give its corners as outline")
     import ezdxf.path
@@ -119,15 +119,12 @@ def read_outline(path: Path, departure: float = 1e-4) -> dict[str, Any]:
     try:
         drawing = ezdxf.readfile(path)
         hidden = {layer.dxf.name.lower() for layer in drawing.layers if layer.is_off() or layer.is_frozen()}
-        drawn = drawing.modelspace().query("LWPOLYLINE POLYLINE CIRCLE ELLIPSE SPLINE")
-        curves = [one for one in drawn if one.dxf.layer.lower() not in hidden]
-        ways = [ezdxf.path.make_path(one) for one in curves]
-        splines = [
-            way for one, way in zip(curves, ways, strict=True) if one.dxftype() == "SPLINE" and one.dxf.flags & 1
-        ]
-        if not all(way.is_closed for way in splines):
-            raise ValueError("a periodic spline: make it a polyline")  # ezdxf draws another line
-        ways = [way for way in ways if len(way) and way.is_closed]
+        drawn = drawing.modelspace().query("LWPOLYLINE POLYLINE CIRCLE ELLIPSE SPLINE LINE ARC")
+        ways = [ezdxf.path.make_path(one) for one in drawn if one.dxf.layer.lower() not in hidden]
+        ways = [way for way in ways if len(way)]
+        if gaps := [way.start for way in ways if not way.is_closed]:  # as in the path of a periodic spline
+            where = f"({gaps[0].x:g}, {gaps[0].y:g})"
+            raise ValueError(f"the curve from {where} is not closed: make it a closed polyline or turn its layer off")
         chord = departure * max(ezdxf.path.bbox(ways).size) if ways else 0.0
         rings = [[(x, y) for x, y, _ in way.flattening(chord)][:-1] for way in ways]
     except Exception as error:  # ezdxf raises whatever damaged data leads to
