@@ -128,8 +128,8 @@ class Touching:
 
 @dataclass(frozen=True, eq=False)
 class FixedPoints(Rows):
-    """Pairs that touch at points which keep their place on ring a: key (k,) of the pair of each point, and the point
-    relative to the centre of ring a (k, 3).
+    """Pairs that touch at points which keep their place on ring a: key (k,) of the pair of each point, the point
+    relative to the centre of ring a (k, 3), and the way to the next one (k,), up to which it stands for minima.
 
     Where two minima merge the least one moves by the cube root of what rings turn: no step of Newton's method can tell
     where it will be, nor how many there will be. Points so close that the gap between them is hardly less have smooth
@@ -138,6 +138,7 @@ class FixedPoints(Rows):
 
     key: Index
     rho: Array
+    way: Array
 
     def minima(self, placed: Placed, key: Index) -> Minima:
         """The points as contacts of those pairs that are among the sorted keys (p,)."""
@@ -147,11 +148,19 @@ class FixedPoints(Rows):
         d, na, nb = placed.x[b] - placed.x[a], placed.normal[a], placed.normal[b]
         return _touch_at(row, foot_on_circle(rho, na), d, nb)
 
+    def stand_for(self, minima: Minima, key: Index) -> Flags:
+        """Whether minima (m,) of pairs with these keys (p,) have a point of their pair beside them."""
+        out, own = np.zeros(len(minima.pair), dtype=bool), key[minima.pair]
+        for row in np.flatnonzero(np.isin(own, self.key)):
+            mine = self.key == own[row]
+            out[row] = (norm(self.rho[mine] - minima.rho_a[row]) < self.way[mine]).any()
+        return out
+
 
 def fixed_points(con: Touching, pairs: Index) -> FixedPoints:
     """Points around the soft minima of these pairs, where they have some."""
     minima, soft = con.minima, (con.minima.curvature < SOFT) & ~con.fixed
-    keys, places = [con.key[:0]], [np.zeros((0, 3))]
+    parts = list[FixedPoints]()
     for pair in pairs:
         rows = np.flatnonzero(soft & (minima.pair == pair))
         if not len(rows):
@@ -159,14 +168,17 @@ def fixed_points(con: Touching, pairs: Index) -> FixedPoints:
         first, tau = minima.rho_a[rows[0]], cross(con.placed.normal[con.a[pair]], minima.rho_a[rows[0]])
         angle = np.arctan2(minima.rho_a[rows] @ tau, minima.rho_a[rows] @ first)
         outer, half = (_softness(minima.take(rows), con.wire, times)[1] for times in (_OUTER, _INNER))
-        low, high = float((angle - outer).min()), float((angle + outer).max())
-        t = np.linspace(low, high, min(_POINTS, 1 + int(np.ceil((high - low) / (2.0 * half.min())))))
-        keys.append(np.full(len(t), con.key[pair]))
-        places.append(np.cos(t)[:, None] * first + np.sin(t)[:, None] * tau)
-    return FixedPoints(np.concatenate(keys), np.concatenate(places))
+        order = np.argsort(angle)
+        low, high, half = (angle - outer)[order], np.maximum.accumulate((angle + outer)[order]), half[order]
+        for own in np.split(np.arange(len(low)), 1 + np.flatnonzero(low[1:] > high[:-1])):
+            begin, end = low[own].min(), high[own].max()
+            t = np.linspace(begin, end, min(_POINTS, 2 + int((end - begin) / (2.0 * half[own].min()))))
+            rho = np.cos(t)[:, None] * first + np.sin(t)[:, None] * tau
+            parts.append(FixedPoints(np.full(len(t), con.key[pair]), rho, np.full(len(t), t[1] - t[0])))
+    return NOWHERE.join(parts)
 
 
-NOWHERE = FixedPoints(np.zeros(0, np.int64), np.zeros((0, 3)))
+NOWHERE = FixedPoints(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))
 
 
 def find_touching(
@@ -175,7 +187,7 @@ def find_touching(
     """All contacts whose gap is below `reach` (r1), and points beside soft ones; wire = r2/r1.
 
     Looked at are the pairs of rings with centres nearer than 2 + 2 wire + reach, and the linked ones (m, 2). Pairs that
-    have fixed `points` touch there instead.
+    have fixed `points` touch there in place of the minima beside them.
     """
     n, rings, limit = len(placed.x), placed.rings, 2.0 * wire + reach
     near = cKDTree(placed.x[:rings]).query_pairs(2.0 + limit, output_type="ndarray").astype(np.int64)
@@ -197,7 +209,7 @@ def find_touching(
     deepest = np.full(len(key), np.inf)
     np.minimum.at(deepest, minima.pair, minima.distance - 2.0 * wire)
     at_points = points.minima(placed, key)
-    minima = minima.take(~np.isin(minima.pair, at_points.pair))
+    minima = minima.take(~points.stand_for(minima, key))
     free, zero, g = len(minima.pair), np.zeros((len(at_wall), 3)), g[kept]
     others = [at_points, *(_beside_soft(minima, d, na, nb, wire, limit) if beside else ())]
     others.append(Minima(at_wall, -nb[at_wall], zero, zero, g + 2.0 * wire, np.ones(len(g))).take(g < reach))
