@@ -9,7 +9,7 @@ from benchmarks.frame import Section, table
 from benchmarks.measure import Row
 from benchmarks.problems import square
 from homogenize import default_law
-from macro_fem.curtain import solve_scene
+from macro_fem.job import solve_membrane
 from macro_fem.scene.scene import read_scene
 
 QUICK, FULL = (16, 28, 50, 90), (16, 28, 50, 90, 160)
@@ -27,7 +27,7 @@ def measure(full: bool) -> Section:
 def _solved(cells: int) -> Row:
     scene, law = read_scene(square(cells)), default_law()
     began = time.process_time()
-    found = solve_scene(scene, law)
+    found = solve_membrane(scene, law).solution
     problem = found.problem
     row: Row = {"triangles": len(problem.disc.cell_dofs), "unknowns": problem.fem.n, "status": str(found.status)}
     row |= {"iterations": found.iterations, "mean height, mm": found.mean_height()}

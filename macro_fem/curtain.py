@@ -12,11 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from homogenize import MembraneLaw, with_material
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.problem import CurtainProblem, gathered_start, make_problem, stabilising_tension
-from macro_fem.scene.meshing.mesh import build_mesh, components
-from macro_fem.scene.scene import Scene
+from macro_fem.problem import CurtainProblem, gathered_start, stabilising_tension
+from macro_fem.scene.meshing.mesh import components
 from macro_fem.scene.supports import told
 from macro_fem.shape_loop import solve_shape
 from macro_fem.solution import CurtainSolution, InnerForces, slackened
@@ -40,13 +38,6 @@ NOT_UNIQUE = (
 """What a rigid curtain says of forces that it leaves open."""
 RANK = 1e-9
 """Singular values of the equations of balance below this part of the largest count as none."""
-
-
-def solve_scene(scene: Scene, law: MembraneLaw) -> CurtainSolution:
-    """The curtain of a scene at its full load."""
-    law = with_material(law, dict(scene.material), f"{scene.source}: [material]")
-    mesh = build_mesh(scene, law.cell)
-    return solve_problem(make_problem(scene, law, mesh))
 
 
 def solve_problem(problem: CurtainProblem, start: CurtainSolution | None = None) -> CurtainSolution:

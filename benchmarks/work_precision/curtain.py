@@ -20,7 +20,8 @@ from homogenize.io import default_law
 from homogenize.laws.net import diagonal_net
 from homogenize.laws.protocol import MembraneLaw
 from macro_fem.bounds.interval import CurtainBounds, admissible_problem, levels
-from macro_fem.curtain import solve_problem, solve_scene
+from macro_fem.curtain import solve_problem
+from macro_fem.job import solve_membrane
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import Scene, read_scene
 
@@ -86,8 +87,9 @@ def scene_of(problem: Problem, way: Way, cells: int, **solver: Any) -> Scene:
 
 def run(problem: Problem, way: Way, cells: int, reference: float) -> Row:
     """One point of a ladder: the signed error, nan where there is no answer."""
-    solve = partial(solve_scene, scene_of(problem, way, cells), problem.law)
-    solution, seconds = least_seconds(solve, repeats=2, long=0.5)
+    solve = partial(solve_membrane, scene_of(problem, way, cells), problem.law)
+    answer, seconds = least_seconds(solve, repeats=2, long=0.5)
+    solution = answer.solution
     error = (solution.mean_height() - reference) / problem.height if solution.status == "converged" else math.nan
     row: Row = {"element, solver": way.name, "cells": solution.problem.disc.n_cells, "unknowns": solution.problem.fem.n}
     return row | {ERROR: error, "steps": solution.iterations, "s": seconds, "order": "", "status": solution.status}
@@ -115,7 +117,7 @@ def order(rows: list[Row]) -> float:
 
 def corner_height(law: MembraneLaw, cells: int) -> float:
     """Mean height in mm of the corner-hung square metre of this law, P2; RuntimeError if it does not converge."""
-    solution = solve_scene(scene_of(corner_problem(), Way("P2"), cells), law)
+    solution = solve_membrane(scene_of(corner_problem(), Way("P2"), cells), law).solution
     if solution.status != "converged":
         raise RuntimeError(f"a reference did not converge: {solution.status}: {solution.message}")
     return solution.mean_height()

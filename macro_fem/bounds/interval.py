@@ -120,7 +120,7 @@ def bound(solution: CurtainSolution, outer: MembraneLaw | None = None) -> Curtai
     return CurtainBounds(
         solution=solution,
         upper=upper,
-        lower=lower if result.converged else float("nan"),
+        lower=lower if result.status == "converged" else float("nan"),
         error=error + _near_points(dual, moment, points),
         points=points if len(dual.facet) or dual.load_cost.any() else 0.0,
         status=result.status,

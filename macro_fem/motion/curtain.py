@@ -196,7 +196,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
 
 def _check(found: PathResult, t: float) -> None:
     """Raise for a step that is not solved."""
-    if found.converged or (found.evidence.is_finite and found.evidence.error <= ROUNDING):
+    if found.status == "converged" or (found.evidence.is_finite and found.evidence.error <= ROUNDING):
         return
     if found.stop in ("infeasible", "blocked"):
         words = "supports and obstacles leave the curtain no place: move them less far apart"

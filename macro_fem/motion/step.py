@@ -221,7 +221,7 @@ def solve_step(
         terms = Terms(compliance, walls=walls, inertia=inertia)
         result = solve_path(fem, law, load, fem.unknowns(place), problem.mesh.size, path, terms)
         place = fem.positions(result.z)
-        if not len(walls) or not result.converged or rounds == ROUNDS:
+        if not len(walls) or result.status != "converged" or rounds == ROUNDS:
             break
         anew = tangents(place)
         turned = float(result.wall_forces @ np.linalg.norm(anew.normal - walls.normal, axis=1))

@@ -140,8 +140,3 @@ class PathResult(Judged):
     @cached_property
     def verdict(self) -> Verdict:
         return judged(self.stop, self.evidence, self.asked, self.iterations, self.reach)
-
-    @property
-    def converged(self) -> bool:
-        """Whether the gap was closed."""
-        return self.status == "converged"

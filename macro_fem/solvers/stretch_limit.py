@@ -91,7 +91,7 @@ def solve_at_stretch_limit(
         nearer = fem.moved(fem.x_held / (1.0 + relaxation))
         near_walls = replace(walls, offset=walls.offset / (1.0 + relaxation))
         result = solve(nearer, start / (1.0 + relaxation), loose, near_walls)
-        if result.converged:
+        if result.status == "converged":
             break
     scale = 1.0 + relaxation
     return replace(result, z=scale * result.z, primal=scale * result.primal, dual=scale * result.dual), relaxation

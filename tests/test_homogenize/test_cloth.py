@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from homogenize import ClothLaw, load_law
-from macro_fem.curtain import solve_scene
+from macro_fem.job import solve
 from macro_fem.scene.scene import read_scene
 from rve.common.errors import InputError
 from rve.common.tensor import double_dot, trace
@@ -54,12 +54,12 @@ def test_an_elastic_curtain_of_cloth_is_refused():
         LAW.response(np.zeros((1, 3)))
     tables = {"curtain": {"width": 100.0, "height": 100.0, "areal_mass": 1.0}, "support": {"kind": "top"}}
     with pytest.raises(InputError, match=r"\[solver\] kind = 'elastic': a law of kind cloth is inextensible"):
-        solve_scene(read_scene(tables | {"solver": {"kind": "elastic"}}), LAW)
+        solve(read_scene(tables | {"solver": {"kind": "elastic"}}), LAW)
 
 
 def test_a_cloth_hung_by_its_top_keeps_its_height():
     tables = {"curtain": {"width": 100.0, "height": 100.0, "areal_mass": 1.0}, "mesh": {"cells": 4}}
-    found = solve_scene(read_scene(tables | {"support": {"kind": "top", "gather": 0.7}}), LAW)
+    found = solve(read_scene(tables | {"support": {"kind": "top", "gather": 0.7}}), LAW).solution
     assert found.status == "converged"
     assert abs(found.primal) < 1e-8 * np.abs(found.problem.force).sum() * found.problem.mesh.size
     assert np.abs(found.x[:, 1] - found.problem.disc.nodes[:, 1]).max() < 1e-3

@@ -3,7 +3,8 @@
 import numpy as np
 import skfem
 
-from homogenize import default_law
+from homogenize import default_law, with_material
+from macro_fem.curtain import solve_problem
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
@@ -14,6 +15,12 @@ def sheet(width, height, cells, support, mesh=(), load=(), solver=(), **curtain)
     """Tables of a scene on a rectangle; `curtain` and `mesh`: further keys of theirs."""
     first = {"curtain": {"width": width, "height": height, **curtain}, "mesh": {"cells": cells, **dict(mesh)}}
     return first | {"support": support, "load": dict(load), "solver": dict(solver)}
+
+
+def solve_scene(scene, law):
+    """The curtain of a scene at its full load, in one step and without bounds."""
+    law = with_material(law, dict(scene.material), scene.source)
+    return solve_problem(make_problem(scene, law, build_mesh(scene, law.cell)))
 
 
 def mesh_of(width, height, nx, ny):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from macro_fem.curtain import solve_scene
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.scene import read_scene
 from rve.common.errors import InputError
+from tests.test_macro_fem.sheets import solve_scene
 
 TURN = Rotation.from_euler("zxy", [-50.0, 25.0, 70.0], degrees=True).as_matrix()
 WAYS = [np.eye(3), TURN]

@@ -7,7 +7,6 @@ import skfem
 from scipy.spatial import cKDTree
 
 from homogenize.laws.net import diagonal_net
-from macro_fem.curtain import solve_scene
 from macro_fem.output.files import summarize
 from macro_fem.output.forces import held_length
 from macro_fem.problem import make_problem
@@ -15,6 +14,7 @@ from macro_fem.scene.meshing.edges import named_edges
 from macro_fem.scene.meshing.mesh import build_mesh, mesh_outline, refine
 from macro_fem.scene.scene import read_scene
 from rve.common.errors import InputError
+from tests.test_macro_fem.sheets import solve_scene
 
 RISE = np.linspace(100.0, 0.0, 24)  # an even number: the arch has a flat facet at its apex
 ARCH = np.vstack([[[0, 0], [100, 0]], np.column_stack([RISE, 100.0 + 0.016 * RISE * (100.0 - RISE)])])

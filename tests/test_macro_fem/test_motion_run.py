@@ -13,7 +13,6 @@ from scipy.special import ellipk
 import macro_fem
 from homogenize import default_law
 from macro_fem.cli import main
-from macro_fem.curtain import solve_scene
 from macro_fem.motion import files, pace
 from macro_fem.motion.curtain import MovingCurtain
 from macro_fem.motion.files import account_error
@@ -27,6 +26,7 @@ from macro_fem.scene.loads import wind_pressure
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.scene import read_scene
 from rve.common.errors import InputError
+from tests.test_macro_fem.sheets import solve_scene
 
 G = 9810.0
 SHEET = {"curtain": {"width": 400.0, "height": 400.0}, "mesh": {"cells": 4}, "solver": {"space": True}}

@@ -53,7 +53,7 @@ def advance(moving: Moving, moments: list[Moment], forces: Sequence[Any], h: flo
     now, before = moments[-1], moments[-2] if len(moments) > 1 else None
     step = TimeStep(now, before, h, mass, *forces)
     result, walls = solve_step(problem, fem, step, None, tangents)
-    assert result.converged, result.message
+    assert result.status == "converged", result.message
     end = end_of(problem, fem, step, result, walls)
     touched = 0.0
     if len(walls):

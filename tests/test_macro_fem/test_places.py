@@ -16,7 +16,6 @@ from homogenize import default_law
 from homogenize.laws.net import diagonal_net
 from homogenize.laws.protocol import CellInfo
 from macro_fem.cli import main
-from macro_fem.curtain import solve_scene
 from macro_fem.fem.cells import signed_areas
 from macro_fem.output.files import summarize
 from macro_fem.problem import make_problem
@@ -27,7 +26,7 @@ from macro_fem.scene.meshing.nodes import LEAST_SINE
 from macro_fem.scene.scene import read_scene
 from macro_fem.told import hooks_lines
 from rve.common.errors import InputError
-from tests.test_macro_fem.sheets import least_angle
+from tests.test_macro_fem.sheets import least_angle, solve_scene
 
 LAW = diagonal_net(1.1)
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)

@@ -4,8 +4,7 @@ import pytest
 
 from homogenize import diagonal_net
 from macro_fem import read_scene
-from macro_fem.curtain import solve_scene
-from tests.test_macro_fem.sheets import sheet
+from tests.test_macro_fem.sheets import sheet, solve_scene
 
 
 def gathered_net_height(element, n):

@@ -10,12 +10,11 @@ from click.testing import CliRunner
 from homogenize.laws.net import diagonal_net, ring_net
 from homogenize.laws.protocol import CellInfo
 from macro_fem.cli import main
-from macro_fem.curtain import solve_scene
 from macro_fem.fem.cells import signed_areas
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import load_scene, read_scene
 from rve.common.errors import InputError
-from tests.test_macro_fem.sheets import sheet
+from tests.test_macro_fem.sheets import sheet, solve_scene
 
 SCENE = """
 [curtain]

@@ -11,7 +11,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from homogenize.io import default_law
-from macro_fem.curtain import solve_scene
 from macro_fem.job import compare, solve
 from macro_fem.output.files import features
 from macro_fem.problem import gathered_start
@@ -21,7 +20,7 @@ from macro_fem.solvers.cones import green_strain
 from macro_fem.solvers.status import load_scale
 from rve.common.errors import InputError
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
-from tests.test_macro_fem.sheets import posed, sheet
+from tests.test_macro_fem.sheets import posed, sheet, solve_scene
 
 LAW = default_law()
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.toml"))

@@ -10,10 +10,9 @@ from scipy.optimize import brentq
 
 from homogenize import ClothLaw
 from homogenize.io import default_law
-from macro_fem.curtain import solve_scene
 from macro_fem.scene.scene import read_scene
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
-from tests.test_macro_fem.sheets import sheet
+from tests.test_macro_fem.sheets import sheet, solve_scene
 
 RINGS = default_law()
 LENGTH, WIDTH, GRAVITY, MASS = 1000.0, 250.0, 9.81, 2.0

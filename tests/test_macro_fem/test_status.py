@@ -8,13 +8,13 @@ import pytest
 from homogenize.io import default_law
 from homogenize.laws.net import ring_net
 from homogenize.laws.protocol import CellInfo
-from macro_fem.curtain import solve_scene, supports_reach
+from macro_fem.curtain import supports_reach
 from macro_fem.problem import gathered_start
 from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.status import AT_LIMIT, FREE, Evidence, Reach, judged
 from macro_fem.solvers.stretch_limit import reach_of
-from tests.test_macro_fem.sheets import posed, sheet
+from tests.test_macro_fem.sheets import posed, sheet, solve_scene
 
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
 KINDS = ("rigid", "elastic")
@@ -157,5 +157,5 @@ def solve_relaxed(gather, give):
     problem = posed(tables({"kind": "top", "gather": gather / (1.0 + give)}, tolerance=1e-7), ring_net(RINGS))
     load, start = problem.fem.gather(problem.force), problem.fem.unknowns(gathered_start(problem))
     result = solve_path(problem.fem, problem.law, load, start, problem.mesh.size)
-    assert result.converged
+    assert result.status == "converged"
     return result

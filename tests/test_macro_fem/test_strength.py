@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from homogenize import default_law, fit, ring_net, with_material
-from macro_fem.curtain import solve_scene
 from macro_fem.job import solve
 from macro_fem.output.files import curtain_mesh, summarize
 from macro_fem.output.strength import critical_load, summary, utilisation
@@ -19,7 +18,7 @@ from rve import Cell, named_material, pulled_ring, solve_table, with_rings
 from rve.common.errors import InputError
 from rve.common.meshes import read_mesh_file, write_mesh_file
 from rve.table import read_table
-from tests.test_macro_fem.sheets import sheet
+from tests.test_macro_fem.sheets import sheet, solve_scene
 
 TABLE = Path(__file__).parents[1] / "test_homogenize" / "data" / "table190.csv"
 MASS, GRAVITY, WIDTH = 2.0, 9.81, 100.0

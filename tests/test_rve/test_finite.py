@@ -526,6 +526,23 @@ def test_fixed_points_of_a_soft_pair_are_as_near_as_its_minima_and_their_gaps_ar
     assert moved.gap == pytest.approx(forecast, abs=1e-9)  # twice the square of the turn over the distance
 
 
+def test_soft_minima_across_a_ring_have_fixed_points_around_each_and_other_minima_stay():
+    wire, none, shift = 0.1, np.zeros((0, 2), int), 0.02
+    normal = np.array([[0, 0, 1], [0, np.sin(1e-3), np.cos(1e-3)]])
+    placed = Placed(np.array([[0, 0, 0], [shift, 0, 2 * wire + 1e-3 + 1e-6]]), normal)
+    con = find_touching(placed, none, wire, 0.1, beside=False)
+    assert len(con.gap) == 2
+    points = fixed_points(con, np.arange(1))
+    both = find_touching(placed, none, wire, 0.1, beside=False, points=points)
+    assert both.fixed.all()
+    for rho, gap in zip(con.minima.rho_a, con.gap, strict=True):
+        beside = np.linalg.norm(both.minima.rho_a - rho, axis=1) < points.way.max()
+        assert gap <= both.gap[beside].min() < 1.1 * gap
+    one = find_touching(placed, none, wire, 0.1, beside=False, points=points.take(points.rho[:, 1] > 0.0))
+    assert (~one.fixed).sum() == 1
+    assert one.gap[~one.fixed] == pytest.approx(con.gap[con.minima.rho_a[:, 1] < 0.0])
+
+
 @pytest.mark.slow
 def test_random_starts_end_at_one_potential():
     """From start 10 the supports cannot be moved at once."""
