@@ -21,7 +21,7 @@ from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import MembraneLaw
 from rve.common import Array, InputError, write_text
 
-PER_STATEMENT = 40
+PER_STATEMENT = 38  # two a line: Fortran 77 takes 19 lines beside the first
 
 
 def umat_source(law: MembraneLaw, title: str = "") -> str:
