@@ -31,8 +31,7 @@ class Mixer:
     def __init__(self, weight: Array, memory: int, part: float, most: float) -> None:
         self.scale, self.memory = np.sqrt(weight)[:, None], memory
         self.part, self.most, self.idle = part, most, 0
-        self.forces: list[Array] = []
-        self.changes: list[Array] = []
+        self.rounds: list[Array] = []  # forces and their changes (2, n_points, d)
         self.best: tuple[Array, Array] | None = None
         self.least = self.far = np.inf
 
@@ -47,8 +46,7 @@ class Mixer:
         else:
             self.idle += 1
         self.far = FAR * self.least
-        self.forces = [*self.forces, force][-self.memory - 1 :]
-        self.changes = [*self.changes, change][-self.memory - 1 :]
+        self.rounds = [*self.rounds, np.stack([force, change])][-self.memory - 1 :]
         return self._mixed(force, change)
 
     def _back(self) -> Array:
@@ -57,15 +55,14 @@ class Mixer:
         self.part = max(0.5 * self.part, LEAST_PART)
         self.far *= FAR
         self.idle += 1
-        self.forces, self.changes = self.forces[-KEPT:], self.changes[-KEPT:]
+        self.rounds = self.rounds[-KEPT:]
         return np.asarray(self.best[0] + self.part * self.best[1])
 
     def _mixed(self, force: Array, change: Array) -> Array:
         """Force and change less the sum of earlier ones that cancels the change best."""
-        if len(self.changes) == 1:
+        if len(self.rounds) == 1:
             return force + self.part * change
-        dg = np.stack([change - old for old in self.changes[:-1]], axis=-1)
-        df = np.stack([force - old for old in self.forces[:-1]], axis=-1)
+        df, dg = np.stack([self.rounds[-1] - before for before in self.rounds[:-1]], axis=-1)
         scaled = (self.scale[:, :, None] * dg).reshape(-1, dg.shape[-1])
         sizes = np.maximum(np.linalg.norm(scaled, axis=0), 1e-300)
         weights = np.linalg.lstsq(scaled / sizes, (self.scale * change).ravel(), rcond=FLAT)[0] / sizes

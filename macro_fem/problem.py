@@ -84,10 +84,7 @@ def make_problem(
 
     released: numbers of supports that have let go, in a curtain in motion, which needs no pins; None for one at rest.
     """
-    try:
-        disc = discretize(mesh.mesh, scene.mesh.element)
-    except ValueError as error:
-        raise InputError(f"{scene.source}: [mesh] {error}") from error
+    disc = discretize(mesh.mesh, scene.mesh.element)
     if scene.solver.is_elastic and not law.compliance.any():
         raise InputError(
             f"{scene.source}: [solver] kind = 'elastic': a law of kind {law.name} is inextensible, use kind = 'rigid'"

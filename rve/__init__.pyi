@@ -27,6 +27,7 @@ from .geometry.kinematics import cauchy_line_load as cauchy_line_load
 from .geometry.kinematics import cauchy_of as cauchy_of
 from .geometry.kinematics import deformation_gradient as deformation_gradient
 from .geometry.kinematics import green_lagrange as green_lagrange
+from .geometry.kinematics import load_angles as load_angles
 from .geometry.kinematics import second_pk as second_pk
 from .geometry.weave import WEAVES as WEAVES
 from .geometry.weave import Weave as Weave

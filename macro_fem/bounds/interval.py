@@ -21,7 +21,7 @@ from homogenize import MembraneLaw
 from macro_fem.bounds.equilibrated import DualProblem, at_dual_nodes, dual_problem
 from macro_fem.curtain import solve_problem
 from macro_fem.fem.assembly import internal_force
-from macro_fem.fem.discretization import reference_shapes
+from macro_fem.fem.discretization import MEETS, reference_shapes
 from macro_fem.fem.hung_law import largest_stretch
 from macro_fem.problem import CurtainProblem, make_problem
 from macro_fem.scene.meshing.mesh import CurtainMesh, refine
@@ -38,8 +38,6 @@ INWARD = 0.05
 """How far the start is drawn from the P1 curtain, where steps get stuck, to its slack start; farther: more steps."""
 BULK = 0.6
 """Share of the gap whose triangles are refined in one go (W. Doerfler, doi 10.1137/0733054)."""
-CORNERS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-"""Corners (2, 3) of the reference triangle, in the order of the corners of cells."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +224,7 @@ def admissible_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor
     problem = make_problem(quadratic, law, mesh, factor)
     if len(problem.walls):
         return make_problem(replace(scene, mesh=replace(scene.mesh, element="P1")), law, mesh, factor)
-    values, gradients = reference_shapes(skfem.ElementTriP2(), CORNERS, 6)
+    values, gradients = reference_shapes(skfem.ElementTriP2(), MEETS[:, :3], 6)
     weight = np.tile(problem.disc.cell_area / 3.0, 3)  # exact for linear functions
     disc = replace(problem.disc, shape_values=values, shape_gradients=gradients, weight=weight)
     return replace(problem, disc=disc, fem=problem.supports.fem(disc))

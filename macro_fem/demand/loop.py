@@ -26,9 +26,9 @@ from macro_fem.output.strength import critical_load
 from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution
-from rve import Cell, cauchy_of, solve_table, with_rings
+from rve import Cell, cauchy_of, load_angles, solve_table, with_rings
 from rve.common import Array, InputError, part_of, tell
-from rve.common.tensor import disc, eigenvalues, trace
+from rve.common.tensor import disc, trace
 
 LAW_SHARE, AGAIN = 0.15, 2.0
 """The law may widen the interval by this part of what is asked, or of what the mesh does now: more saves ring solves
@@ -235,10 +235,7 @@ def with_strength(found: Demand) -> Demand:
 
 def strength_of_rows(rows: LockedRows, cell: Cell) -> Strength:
     """The strength at the loads of rows, each solved again under the Cauchy load that locks the cell in its strain."""
-    s = cauchy_of(rows.S, rows.E)
-    low, high = eigenvalues(s)
-    alpha = 0.5 * np.degrees(np.arctan2(2.0 * s[:, 1], s[:, 0] - s[:, 2]))
-    beta = np.degrees(np.arctan2(np.maximum(low, 0.0), high))
+    alpha, beta, _ = load_angles(cauchy_of(rows.S, rows.E))
     found = strength_of_table(with_rings(solve_table(cell, (alpha, beta)), cell))
     assert found is not None  # the table has the columns
     return found

@@ -152,10 +152,6 @@ class Point(Support, kind="point"):
     move: Way = NO_MOVE
     rings_per_hook: tables.RingsPerHook = 1
 
-    @property
-    def points(self) -> tuple[Vector, ...]:
-        return (self.at,)
-
     def hold(self, site: Site) -> Held:
         nodes = sites.point_node(self.at, site.disc)
         name = f"point ({self.at[0]:g}, {self.at[1]:g})"

@@ -89,11 +89,6 @@ class Item(Entry):
         return f"[{self.table}] ({self.kind})"
 
     @property
-    def points(self) -> tuple[Vector, ...]:
-        """Material points [x, y] that need a node."""
-        return ()
-
-    @property
     def space_reason(self) -> str:
         """Why the entry takes the curtain into space; "" if it does not."""
         for key in ("move", "force", "direction"):
@@ -132,10 +127,6 @@ class PointLoad(LiveLoad, kind="point"):
     at: Place
     force: Forces
     rings_per_hook: RingsPerHook = 1
-
-    @property
-    def points(self) -> tuple[Vector, ...]:
-        return (self.at,)
 
 
 @dataclass(frozen=True)

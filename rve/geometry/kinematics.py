@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rve.common import Array
-from rve.common.tensor import IDENTITY
+from rve.common.tensor import IDENTITY, eigenvalues
 
 
 def cauchy_line_load(alpha_deg: ArrayLike, beta_deg: ArrayLike) -> Array:
@@ -22,6 +22,16 @@ def cauchy_line_load(alpha_deg: ArrayLike, beta_deg: ArrayLike) -> Array:
     (ca, sa), (s1, s2) = _cos_sin(alpha_deg), _cos_sin(beta_deg)
     s = np.stack([ca**2 * s1 + sa**2 * s2, ca * sa * (s1 - s2), sa**2 * s1 + ca**2 * s2], axis=-1)
     return s + 0.0  # no negative zeros in tables
+
+
+def load_angles(s: Array) -> tuple[Array, Array, Array]:
+    """Angles alpha, beta in degrees and size (n,) of line loads s (n, 3); compressive components are set to zero.
+
+    beta lies between 0 and 45 degrees: the first principal load is the larger one.
+    """
+    s2, s1 = (np.maximum(value, 0.0) for value in eigenvalues(s))
+    alpha = 0.5 * np.degrees(np.arctan2(s[:, 1], 0.5 * (s[:, 0] - s[:, 2])))
+    return alpha, np.degrees(np.arctan2(s2, s1)), np.hypot(s1, s2)
 
 
 def _cos_sin(degrees: ArrayLike) -> tuple[Array, Array]:

@@ -6,22 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common import Array, NotConverged
-from rve.common.tensor import WEIGHT, eigenvalues
+from rve.common.tensor import WEIGHT
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry.kinematics import cauchy_line_load, load_angles
 from rve.geometry.pose import pair_geometry
 from rve.solve import locked_block, locked_states
-
-
-def directions(s: Array) -> tuple[Array, Array, Array]:
-    """Angles alpha, beta in degrees and size (n,) of line loads s (n, 3); compressive components are set to zero.
-
-    beta lies between 0 and 45 degrees: the first principal load is the larger one.
-    """
-    s2, s1 = (np.maximum(value, 0.0) for value in eigenvalues(s))
-    alpha = 0.5 * np.degrees(np.arctan2(s[:, 1], 0.5 * (s[:, 0] - s[:, 2])))
-    return alpha, np.degrees(np.arctan2(s2, s1)), np.hypot(s1, s2)
 
 
 @dataclass(frozen=True)
@@ -55,7 +45,7 @@ def cell_forces(s: Array, cell: Cell, options: DirectOptions | None = None) -> C
 
     `status` is "converged" or the name of a failure; there are no contacts then.
     """
-    alpha, beta, size = directions(s[None])
+    alpha, beta, size = load_angles(s[None])
     states = locked_block(alpha, beta, replace(cell, grain="y"), options or DirectOptions())
     pose, con, weave, status = states.pose, states.found.contacts, states.cell.weave, str(states.found.status[0])
     force = states.found.lam[con.present]
@@ -85,7 +75,7 @@ def largest_forces(s: Array, cell: Cell, options: DirectOptions | None = None, s
     Directions are rounded to `step` degrees, so that many cells share a solve; the smaller load is at least tan(step/2)
     of the larger one, where the locked state is unique. A direction that is not solved takes the nearest that is.
     """
-    alpha, beta, size = directions(s)
+    alpha, beta, size = load_angles(s)
     out = np.zeros((len(s), cell.weave.classes))
     loaded = np.flatnonzero(size > 0.0)
     if not len(loaded):

@@ -74,9 +74,3 @@ def test_affine_fields_are_exact_on_distorted_cells(element):
     u = disc.nodes @ H.T + np.array([1.0, -2.0, 3.0])
     np.testing.assert_allclose(gradient(disc, u), np.broadcast_to(H, (disc.n_points, 3, 2)), atol=1e-12)
     np.testing.assert_allclose(disc.cell_mean(gradient(disc, u)), np.broadcast_to(H, (disc.n_cells, 3, 2)), atol=1e-12)
-
-
-def test_a_cell_without_area_is_named():
-    mesh = skfem.MeshTri(np.array([[0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 0.0]]), np.array([[0, 0], [1, 1], [2, 3]]))
-    with np.errstate(all="ignore"), pytest.raises(ValueError, match="cell 1 of the mesh has no area"):
-        discretize(mesh, "P1")

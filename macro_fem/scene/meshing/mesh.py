@@ -21,7 +21,8 @@ from macro_fem.scene.meshing.nodes import with_nodes_at
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.sites import Hanging
-from macro_fem.scene.tables import PatchLoad, Vector
+from macro_fem.scene.support_kinds import Point
+from macro_fem.scene.tables import PatchLoad, PointLoad, Vector
 from rve.common import Array, InputError
 
 MAX_TRIANGLES = 4_000_000
@@ -95,9 +96,10 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     rows = {n: item.hook_places(top, f"{scene.source}: {item.where}") for n, item in hanging if top and item.has_hooks}
     wanted: list[tuple[str, Vector]]
     wanted = [(f"[support] hook at [{x:g}, {y:g}]", (x, y)) for places, _ in rows.values() for x, y in places.tolist()]
-    points = [(item.where, at) for item in scene.items for at in item.points]
-    points += [("[load.patch]", patch.at) for patch in scene.of(PatchLoad) if patch.radius < mesh.longest_side]
-    wanted += [(f"{what} at = {list(at)}", at) for what, at in points]
+    points: list[Point | PointLoad | PatchLoad]
+    points = [item for item in scene.items if isinstance(item, Point | PointLoad)]
+    points += [patch for patch in scene.of(PatchLoad) if patch.radius < mesh.longest_side]
+    wanted += [(f"{one.where} at = {list(one.at)}", one.at) for one in points]
     if not wanted:
         return mesh
     wheres = [f"{scene.source}: {what}" for what, _ in wanted]

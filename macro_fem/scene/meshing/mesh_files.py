@@ -144,7 +144,6 @@ STRAIGHT = 1e-9
 
 def write_outline(path: Path, mesh: Any) -> None:
     """Write the corners of the boundary of a scikit-fem mesh, mm, as closed polylines of a DXF file."""
-    require("ezdxf", "cad", "--dxf", "leave it out")
     import ezdxf.units
 
     document = ezdxf.new(units=ezdxf.units.MM)
