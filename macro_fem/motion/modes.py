@@ -31,7 +31,7 @@ from macro_fem.job import solve_membrane
 from macro_fem.motion.stage import TONNE, masses_of, mesh_masses, pushed_points, scene_at
 from macro_fem.output.pictures import Pictures
 from macro_fem.scene.supports import build_supports
-from macro_fem.scene.tables import Bar
+from macro_fem.scene.tables import Bar, Wind
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError, NotConverged, job, versions
 from rve.common.drawing.plane import Scale
@@ -127,6 +127,8 @@ def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
     shapes = shapes / np.linalg.norm(shapes, axis=2).max(axis=1)[:, None, None]
     other = "leaves the locked surface" if in_space else "stays in its plane"
     left_out = f"motion of slack parts, and motion that {other}"
+    if any(wind.follows or wind.speed is not None for wind in solution.problem.scene.of(Wind)):
+        left_out += "; how winds that follow or have a speed change as the curtain moves"
     if len(first) < number:
         left_out += f"; more modes than {len(first)}, which shapes on so coarse a mesh do not tell: use more cells"
     return Modes(frequency, multiplicity, shapes, solution, left_out)

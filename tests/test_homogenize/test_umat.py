@@ -66,9 +66,8 @@ def test_compiled_material_gives_our_numbers(tmp_path, ellipsoid):
     (tmp_path / "umat.f").write_text(umat_source(law, "test"))
     driver = DRIVER.replace("\n     1 ", " &\n ").replace("COUNT_COL", "L").replace("I,K,COUNT\n", "I,K,L,COUNT\n")
     (tmp_path / "driver.f90").write_text(driver)
-    flags = ["-O1", "-std=legacy", "-w", "-ffree-line-length-none"]
-    command = ["gfortran", *flags, "driver.f90", "umat.f", "-o", "driver"]
-    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True)
+    command = "gfortran -O1 -std=legacy -w -ffree-line-length-none driver.f90 umat.f -o driver"
+    subprocess.run(command.split(), cwd=tmp_path, check=True, capture_output=True, text=True)
     F = np.eye(2) + np.random.default_rng(11).normal(scale=0.3, size=(300, 2, 2))
     F = F[np.linalg.det(F) > 0.3]
     thickness = 0.8

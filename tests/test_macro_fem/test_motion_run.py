@@ -249,13 +249,13 @@ def test_a_straight_bar_turns_with_the_inertia_of_a_rod():
 def test_modes_prints_one_object_with_ascending_frequencies(tmp_path):
     scene = tmp_path / "scene.toml"
     text = "[curtain]\nwidth = 60.0\nheight = 1000.0\n[mesh]\ncells = 2\n[support]\nkind = 'top'\n"
+    text += "[load.wind]\nspeed = 0.01\ndirection = [0, 0, 1]\n"
     scene.write_text(text + "[[combination]]\nname = 'a'\n")
-    out = str(tmp_path / "out")
-    result = CliRunner().invoke(main, ["modes", str(scene), "--number", "2", "--out", out])
+    result = CliRunner().invoke(main, ["modes", str(scene), "--number", "2", "--out", str(tmp_path / "out")])
     assert result.exit_code == 0, result.output
     exact = [0.25 * j / np.pi * np.sqrt(G / 1000.0) for j in (2.404826, 5.520078)]
     assert json.loads(result.stdout)["frequencies_Hz"] == pytest.approx(exact, rel=1e-2)
-    assert "; the partial factors of [[combination]]" in result.stdout
+    assert "as the curtain moves; the partial factors of [[combination]]" in result.stdout
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["modes.json", "modes.png", "modes.vtu"]
 
 
