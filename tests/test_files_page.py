@@ -6,11 +6,8 @@ import re
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-import homogenize.cli
-import macro_fem.cli
-import rve.cli
+from tests.commands import run
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "files.md"
 pytestmark = pytest.mark.slow
@@ -55,22 +52,20 @@ def out(tmp_path_factory):
     for name, text in {"plane": PLANE, "barred": barred, "space": SPACE, "body": BODY}.items():
         (folder / f"{name}.toml").write_text(text)
     (folder / "loads.csv").write_text("alpha_deg,beta_deg\n0,90\n20,30\n45,45\n0,0\n0,45\n45,90\n20,80\n")
-    for package, command in (
-        (rve, "table --rings --loads loads.csv --out table.csv"),
-        (homogenize, "fit table.csv --out law.json"),
-        (macro_fem, "run plane.toml --rings 5,0.5 --no-cache --accuracy 0.05 --out demand --no-picture"),
-        (macro_fem, "run space.toml --out space --no-picture"),
-        (macro_fem, "run body.toml --out body --no-picture"),
-        (macro_fem, "rings plane.toml --out every --no-picture"),
-        (macro_fem, "compare plane.toml --out compare.json"),
-        (macro_fem, "size barred.toml --vary mass --from 0.1 --to 0.2 --factor 1e-6 --out sized --no-picture"),
-        (macro_fem, "localize demand --out found --no-picture"),
-        (macro_fem, "sweep plane.toml --out curtains --no-picture"),
-        (rve, "sweep --r1 5 --r2 0.5 --out tables --loads loads.csv"),
+    for command in (
+        "rve table --rings --loads loads.csv --out table.csv",
+        "homogenize fit table.csv --out law.json",
+        "macro_fem run plane.toml --rings 5,0.5 --no-cache --accuracy 0.05 --out demand --no-picture",
+        "macro_fem run space.toml --out space --no-picture",
+        "macro_fem run body.toml --out body --no-picture",
+        "macro_fem rings plane.toml --out every --no-picture",
+        "macro_fem compare plane.toml --out compare.json",
+        "macro_fem size barred.toml --vary mass --from 0.1 --to 0.2 --factor 1e-6 --out sized --no-picture",
+        "macro_fem localize demand --out found --no-picture",
+        "macro_fem sweep plane.toml --out curtains --no-picture",
+        "rve sweep --r1 5 --r2 0.5 --out tables --loads loads.csv",
     ):
-        words = [placed(one, folder) for one in command.split()]
-        done = CliRunner().invoke(package.cli.main, words)
-        assert done.exit_code == 0, f"{command}: {done.output}"
+        run(*(placed(one, folder) for one in command.split()))
     return folder
 
 

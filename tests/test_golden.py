@@ -11,11 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from homogenize.cli import main as homogenize
-from macro_fem.cli import main as macro_fem
-from rve.cli import main as rve
+from tests.commands import run
 
 GOLDEN = json.loads((Path(__file__).parent / "golden" / "numbers.json").read_text("utf-8"))
 SOLVED = 1e-6
@@ -24,24 +21,19 @@ SOLVED = 1e-6
 pytestmark = pytest.mark.slow
 
 
-def run(command, *words, codes=(0,)):
-    done = CliRunner().invoke(command, [str(word) for word in words])
-    assert done.exit_code in codes, done.output
-
-
 @pytest.fixture(scope="module")
 def law(tmp_path_factory):
     """The law of the 190 rows of r1/r2 = 10."""
     folder = tmp_path_factory.mktemp("law")
-    run(rve, "table", "--r1", 5, "--r2", 0.5, "--out", folder / "table.csv")
-    run(homogenize, "fit", folder / "table.csv", "--out", folder / "law.json")
+    run("rve", "table", "--r1", 5, "--r2", 0.5, "--out", folder / "table.csv")
+    run("homogenize", "fit", folder / "table.csv", "--out", folder / "law.json")
     return folder / "law.json"
 
 
 @pytest.mark.parametrize("name", GOLDEN["tables"])
 def test_strains_of_tables(name, tmp_path):
     kept = GOLDEN["tables"][name]
-    run(rve, "table", *shlex.split(kept["options"]), "--out", tmp_path / "table.csv")
+    run("rve", "table", *shlex.split(kept["options"]), "--out", tmp_path / "table.csv")
     with (tmp_path / "table.csv").open(encoding="utf-8") as file:
         rows = {(float(r["alpha_deg"]), float(r["beta_deg"])): r for r in csv.DictReader(file)}
     found = [[float(rows[a, b][key]) for key in ("E11", "E12", "E22")] for a, b, *_ in kept["rows"]]
@@ -52,7 +44,7 @@ def solved(name, kept, tmp_path, law, *options):
     scene = tmp_path / f"{name}.toml"
     scene.write_text(kept["scene"], encoding="utf-8")
     own = () if name == "facade_panel" else ("--law", law)  # whose yield stress needs rings of a known strength
-    run(macro_fem, *options, scene, *own, "--out", tmp_path / "out", "--no-picture", codes=(0, 1))
+    run("macro_fem", *options, scene, *own, "--out", tmp_path / "out", "--no-picture", codes=(0, 1))
     return json.loads((tmp_path / "out" / "summary.json").read_text("utf-8"))
 
 
@@ -83,7 +75,7 @@ def test_runs_on_demand(name, tmp_path):
     scene = tmp_path / "scene.toml"
     scene.write_text(GOLDEN["scenes"][name]["scene"], encoding="utf-8")
     words = ("--rings", "5,0.5", "--accuracy", kept["accuracy"], "--no-cache", "--out", tmp_path / "out")
-    run(macro_fem, "run", scene, *words, "--no-picture")
+    run("macro_fem", "run", scene, *words, "--no-picture")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text("utf-8"))
     key = next(key for key in kept if "interval" in key)
     assert summary[key] == pytest.approx(kept[key], rel=1e-5)

@@ -4,12 +4,9 @@ import json
 import math
 
 import pytest
-from click.testing import CliRunner
 
-from homogenize.cli import main as homogenize
 from homogenize.io import load_law
-from macro_fem.cli import main as macro_fem
-from rve.cli import main as rve
+from tests.commands import run
 
 TITANIUM = 4506.0  # kg/m3
 B_X, B_Y = 11.0, 12.646069623526  # mm, r1 = 5, r2 = 0.5, DESIGN section 2
@@ -17,22 +14,16 @@ AREAL_MASS = TITANIUM * 2.0 * (2.0 * math.pi**2 * 5.0 * 0.5**2) / (B_X * B_Y) * 
 SCENE = 'curtain = {width = 300.0, height = 200.0}\nmesh = {cells = 4}\nsupport = {kind = "top"}\n'
 
 
-def run(command, *arguments):
-    result = CliRunner().invoke(command, [str(a) for a in arguments])
-    assert result.exit_code == 0, result.output
-    return result.output
-
-
 def test_one_density_from_the_command_line_to_the_weight_of_the_curtain(tmp_path):
     table, law, scene, out = (tmp_path / name for name in ("table.csv", "law.json", "scene.toml", "out"))
-    run(rve, "table", "--out", table, "--density", TITANIUM, "--alpha", "0:45:15", "--beta", "0:90:15")
+    run("rve", "table", "--out", table, "--density", TITANIUM, "--alpha", "0:45:15", "--beta", "0:90:15")
     sidecar = json.loads(table.with_suffix(".json").read_text())
     assert sidecar["density_kg_per_mm3"] == pytest.approx(4.506e-6, rel=1e-12)
     assert sidecar["areal_mass_kg_per_m2"] == pytest.approx(AREAL_MASS, rel=1e-6)
-    run(homogenize, "fit", table, "--out", law)
+    run("homogenize", "fit", table, "--out", law)
     assert load_law(law).cell.areal_mass_kg_per_m2 == pytest.approx(AREAL_MASS, rel=1e-6)
     scene.write_text(SCENE)
-    run(macro_fem, "run", scene, "--law", law, "--out", out, "--no-picture")
+    run("macro_fem", "run", scene, "--law", law, "--out", out, "--no-picture")
     summary = json.loads((out / "summary.json").read_text())
     assert summary["areal_mass_kg_per_m2"] == pytest.approx(AREAL_MASS, rel=1e-6)
     assert summary["areal_mass_from"] == "law"

@@ -5,15 +5,11 @@ import shutil
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-import homogenize.cli
-import macro_fem.cli
-import rve.cli
 from homogenize import ClothLaw
 from homogenize.io import DEFAULT_LAW
+from tests.commands import run
 
-GROUPS = {"rve": rve.cli.main, "homogenize": homogenize.cli.main, "macro_fem": macro_fem.cli.main}
 DATA = Path(__file__).parent / "test_homogenize" / "data"
 HOOKS = """
 curtain = {width = 330.0, height = 252.9}
@@ -96,8 +92,7 @@ def folder(tmp_path_factory):
     for name in ("table.csv", "table.json", "other.csv"):
         shutil.copy(DATA / f"table190{Path(name).suffix}", out / name)
     (out / "other.json").write_text((out / "table.json").read_text().replace('"r2_mm": 0.5', '"r2_mm": 0.4'))
-    words = ["run", str(out / "scene.toml"), "--out", str(out / "curtain"), "--no-picture"]
-    assert CliRunner().invoke(macro_fem.cli.main, words).exit_code == 0
+    run("macro_fem", "run", out / "scene.toml", "--out", out / "curtain", "--no-picture")
     return out
 
 
@@ -106,10 +101,9 @@ def test_what_makes_no_sense_is_one_sentence(command, sentence, folder, monkeypa
     monkeypatch.chdir(folder)
     monkeypatch.setattr("rve.common.commands.sweeps.CONNECT_S", 0.5)
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    package, *words = shlex.split(command)
-    done = CliRunner().invoke(GROUPS[package], words)
-    assert done.exit_code == 2, done.output
-    message = done.stderr.strip().split("\n\n")[-1]  # below the usage, if click refuses
+    message = (
+        run(*shlex.split(command), codes=(2,)).stderr.strip().split("\n\n")[-1]
+    )  # below the usage, if click refuses
     assert message.startswith("Error: ")
     assert "\n" not in message
     assert sentence in message

@@ -6,20 +6,19 @@ import os
 import shlex
 import sys
 import threading
-from contextlib import redirect_stdout
+from contextlib import chdir, redirect_stdout
 from typing import get_args
 
 import click
 import pytest
-from click.testing import CliRunner
 
-import homogenize.cli
-import macro_fem.cli
-import rve.cli
+from homogenize import FitOptions
+from homogenize.cli import KINDS
 from rve import WEAVES
+from rve.cli import WEAVE_NAMES
 from rve.common.typed import types_of
+from tests.commands import GROUPS, run
 
-GROUPS = {"rve": rve.cli.main, "homogenize": homogenize.cli.main, "macro_fem": macro_fem.cli.main}
 GRID = ("--alpha", "0,20,45", "--beta", "0:90:30")
 SCENE = """
 curtain = {width = 33.0, height = 25.292139247}
@@ -64,18 +63,10 @@ def folder(tmp_path_factory):
     """A folder with a table, a law, a scene and a curtain, made by the commands themselves."""
     out = tmp_path_factory.mktemp("terminal")
     (out / "scene.toml").write_text(SCENE)
-    here = os.getcwd()
-    os.chdir(out)
-    try:
-        for command, *words in (
-            ("rve", "table", "--out", "table.csv", *GRID, "--rings"),
-            ("homogenize", "fit", "table.csv", "--out", "law.json"),
-            ("macro_fem", "run", "scene.toml", "--out", "curtain", "--no-picture"),
-        ):
-            done = CliRunner().invoke(GROUPS[command], words)
-            assert done.exit_code == 0, done.output
-    finally:
-        os.chdir(here)
+    with chdir(out):
+        run("rve", "table", "--out", "table.csv", *GRID, "--rings")
+        run("homogenize", "fit", "table.csv", "--out", "law.json")
+        run("macro_fem", "run", "scene.toml", "--out", "curtain", "--no-picture")
     return out
 
 
@@ -135,8 +126,7 @@ def test_work_is_shown_in_a_terminal_and_json_is_one_record(command, there, monk
 def test_the_last_line_of_a_piped_command_says_what_to_do_next(command, there):
     """A command that there is, with options that it has, and with paths that are there; nothing moves."""
     package, name = command.split()
-    done = CliRunner().invoke(GROUPS[package], [name, *COMMANDS[command]])
-    assert done.exit_code == 0, done.output
+    done = run(package, name, *COMMANDS[command])
     assert done.stderr == ""
     last = done.stdout.splitlines()[-1]
     if not last.startswith("next: "):
@@ -152,8 +142,8 @@ def test_the_last_line_of_a_piped_command_says_what_to_do_next(command, there):
 @pytest.mark.parametrize("command", ["rve table", "homogenize support", "macro_fem run"])
 def test_quiet_commands_print_only_what_they_are_asked_for(command, there):
     package, name = command.split()
-    done = CliRunner().invoke(GROUPS[package], [name, *COMMANDS[command], "--quiet"])
-    assert (done.exit_code, done.stderr) == (0, "")
+    done = run(package, name, *COMMANDS[command], "--quiet")
+    assert done.stderr == ""
     assert bool(done.stdout) == (command in ANSWERS)
 
 
@@ -172,9 +162,7 @@ def test_the_help_lists_choices_and_has_an_example_that_parses(package, command)
 
 
 def test_choices_are_those_of_the_packages():
-    from homogenize import FitOptions
-
-    assert tuple(WEAVES) == rve.cli.WEAVE_NAMES
-    assert set(get_args(types_of(FitOptions)["kind"])) == set(homogenize.cli.KINDS)
-    weave = next(one for one in macro_fem.cli.main.commands["run"].params if one.name == "weave")
+    assert tuple(WEAVES) == WEAVE_NAMES
+    assert set(get_args(types_of(FitOptions)["kind"])) == set(KINDS)
+    weave = next(one for one in GROUPS["macro_fem"].commands["run"].params if one.name == "weave")
     assert tuple(weave.type.choices) == tuple(WEAVES)
