@@ -21,7 +21,7 @@ from macro_fem.scene import loads
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.tables import Wind
 from macro_fem.solution import CurtainSolution
-from rve.common import Array, InputError
+from rve.common import Array
 
 EDGE = 0.3
 """Share of a cell's height on both sides of its edges over which its shade fades in; rounds hardly settle with 0.05."""
@@ -101,9 +101,9 @@ def _side(problem: CurtainProblem, wind: Wind) -> float:
     axes = problem.frame.T if start is None else (unit(start.x_axis), unit(start.y_axis))
     along = float(np.cross(*axes) @ unit(wind.direction))
     if abs(along) < 1e-3:
-        raise InputError(
-            f"{problem.scene.source}: [load.wind] direction = {list(wind.direction)}: lies in the flat sheet, so that "
-            "it tells no side for follows = true; lay the sheet across it by [start]"
+        problem.scene.refuse(
+            f"[load.wind] direction = {list(wind.direction)}: lies in the flat sheet, so that it tells no side for "
+            "follows = true; lay the sheet across it by [start]"
         )
     return float(np.sign(along))
 

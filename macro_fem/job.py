@@ -53,7 +53,7 @@ def solve(scene: Scene, who: Who = None) -> Solution:
     """
     check_scene(scene)
     if scene.motion is not None:
-        raise InputError(f"{scene.source}: [motion]: is for a curtain over time, use macro_fem run or MovingCurtain")
+        scene.refuse("[motion]: is for a curtain over time, use macro_fem run or MovingCurtain")
     if isinstance(who, EveryRing):
         return solve_every_ring(scene, who)
     answer = _on_demand(scene, who) if isinstance(who, OnDemand) else solve_membrane(scene, who)
@@ -89,7 +89,7 @@ def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -
         return MembraneSolution(scene, tuple(_steps(scene, law, scene.load.steps)))
     steps = _steps(scene, inner, scene.load.steps)
     if steps[-1].status != "converged":
-        raise InputError(f"{scene.source}: [solver] bounds: need a converged curtain: {steps[-1].message}")
+        scene.refuse(f"[solver] bounds: need a converged curtain: {steps[-1].message}")
     bounds = tuple(levels(steps[-1], outer))
     return MembraneSolution(scene, (*steps[:-1], bounds[-1].solution), bounds)
 
@@ -97,7 +97,7 @@ def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -
 def solve_every_ring(scene: Scene, who: EveryRing) -> EveryRingSolution:
     """`solve` with every ring as a rigid body, from the start that is asked for."""
     if scene.combination:
-        raise InputError(f"{scene.source}: [combination]: is for a curtain by a law; every ring bears its loads")
+        scene.refuse("[combination]: is for a curtain by a law; every ring bears its loads")
     rings = ring_scene(scene, who.rings)
     disk = None
     if who.start == "disk":
@@ -144,7 +144,7 @@ def _steps(scene: Scene, law: MembraneLaw, last: int) -> list[CurtainSolution]:
         if solution.status == "infeasible":
             at = f" at {step / count:.3g} of the prescribed moves" if count > 1 else ""
             table = "obstacle" if solution.stop == "blocked" else "support"
-            raise InputError(f"{scene.source}: [{table}]: {solution.message}{at}")
+            scene.refuse(f"[{table}]: {solution.message}{at}")
         steps.append(solution)
     return steps
 

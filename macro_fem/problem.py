@@ -19,7 +19,7 @@ from macro_fem.scene.supports import Supports, build_supports, pin_sliding, told
 from macro_fem.scene.tables import Wind
 from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.walls import TOUCHED, Walls
-from rve.common import Array, InputError, digits
+from rve.common import Array, digits
 
 THINNEST = 0.2
 """Half the least width of a body over the longest side of a cell; thinner ones pass between the points of a mesh."""
@@ -86,9 +86,7 @@ def make_problem(
     """
     disc = discretize(mesh.mesh, scene.mesh.element)
     if scene.solver.is_elastic and not law.compliance.any():
-        raise InputError(
-            f"{scene.source}: [solver] kind = 'elastic': a law of kind {law.name} is inextensible, use kind = 'rigid'"
-        )
+        scene.refuse(f"[solver] kind = 'elastic': a law of kind {law.name} is inextensible, use kind = 'rigid'")
     force = nodal_forces(scene, mesh, disc, law.cell, factor)
     supports = build_supports(scene, mesh, disc, factor, released or frozenset())
     if released is None:
@@ -111,10 +109,10 @@ def _with_obstacles(problem: CurtainProblem) -> CurtainProblem:
     side = problem.mesh.longest_side
     for one in obstacles:
         if one.obstacle.breadth < THINNEST * side:
-            raise InputError(
-                f"{scene.source}: [obstacle] {one.obstacle.name}: half its least width, "
-                f"{digits(one.obstacle.breadth, 4)} mm, is less than a fifth of the sides of cells, up to "
-                f"{digits(side, 4)} mm, between which it would pass: use more cells"
+            scene.refuse(
+                f"[obstacle] {one.obstacle.name}: half its least width, {digits(one.obstacle.breadth, 4)} mm, is less "
+                f"than a fifth of the sides of cells, up to {digits(side, 4)} mm, between which it would pass: use "
+                "more cells"
             )
         _check_outside(one, problem)
     bodies = tuple(one for one in obstacles if isinstance(one.obstacle, Body))
@@ -145,9 +143,7 @@ def _check_outside(one: PlacedObstacle, problem: CurtainProblem) -> None:
     pins, normal = supports.pins, walls.normal[node]
     ways = [told(way) for way in pins.direction[pins.nodes == node] if abs(way @ normal) > 1e-9]
     slides = f", and nothing but that holds it along {ways[0]}: hold it there, outside" if ways else ""
-    raise InputError(
-        f"{scene.source}: [obstacle] {one.obstacle.name}: {name} is {digits(deep[node], 4)} mm inside it{at}{slides}"
-    )
+    scene.refuse(f"[obstacle] {one.obstacle.name}: {name} is {digits(deep[node], 4)} mm inside it{at}{slides}")
 
 
 def tangent_walls(body: PlacedObstacle, fem: SupportedFem, x: Array) -> Walls:

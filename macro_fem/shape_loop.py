@@ -28,7 +28,7 @@ from macro_fem.scene.obstacles import PlacedObstacle
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.status import Settling, load_scale
 from macro_fem.solvers.walls import TOUCHED, Walls
-from rve.common import Array, InputError, digits, part_of, way
+from rve.common import Array, digits, part_of, way
 
 ROUNDS = 60
 """Most rounds; one costs a convex solve."""
@@ -195,9 +195,9 @@ def _first(problem: CurtainProblem, solve: Solve) -> CurtainSolution:
         here = replace(body, factor=0.0)
         deep = -float(here.gap(disc.lattice @ found.x).min())
         if deep > TOUCHED * problem.mesh.size:
-            raise InputError(
-                f"{scene.source}: [obstacle] {body.obstacle.name}: the curtain is up to {digits(deep, 4)} mm inside it "
-                "before anything moves; lay the sheet beside it by [start], or let it come by move"
+            scene.refuse(
+                f"[obstacle] {body.obstacle.name}: the curtain is up to {digits(deep, 4)} mm inside it before anything "
+                "moves; lay the sheet beside it by [start], or let it come by move"
             )
     return found
 

@@ -114,7 +114,7 @@ def largest_that_holds(
         unsolved = [row for row in rows.values() if row.factor is None]
         if most.factor and unsolved:
             why += f"; {len(unsolved)} values have no answer ({unsolved[0].value:g}: {unsolved[0].status})"
-        raise InputError(f"{scene.source}: no {vary} from {low:g} to {high:g} holds with a factor {factor:g}: {why}")
+        scene.refuse(f"no {vary} from {low:g} to {high:g} holds with a factor {factor:g}: {why}")
     found = rows[best]
     assert found.factor is not None
     tried = sorted(rows, reverse=vary == "r2")
@@ -167,7 +167,7 @@ def _pitches(scene: Scene, low: float, high: float) -> list[float]:
 def _check(scene: Scene, who: Any, vary: str) -> None:
     """InputError for what is not there to be varied."""
     if scene.motion is not None:
-        raise InputError(f"{scene.source}: [motion]: is for a curtain over time, which is not sized")
+        scene.refuse("[motion]: is for a curtain over time, which is not sized")
     if vary not in VARIED:
         raise InputError(f"--vary = {shown(vary)}: is not one of {', '.join(VARIED)}")
     _, what, has = VARIED[vary]
@@ -175,7 +175,7 @@ def _check(scene: Scene, who: Any, vary: str) -> None:
         if not isinstance(who, OnDemand):
             raise InputError("--vary r2: needs the rings, by --rings R1,R2, since a law is of one wire")
     elif not any(map(has, scene.items)):
-        raise InputError(f"{scene.source}: --vary {vary}: the scene has no {what}")
+        scene.refuse(f"--vary {vary}: the scene has no {what}")
 
 
 def _row(scene: Scene, who: Any, vary: str, value: float) -> Row:

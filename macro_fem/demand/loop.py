@@ -27,7 +27,7 @@ from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution
 from rve import Cell, cauchy_of, load_angles, solve_table, with_rings
-from rve.common import Array, InputError, part_of, tell
+from rve.common import Array, part_of, tell
 from rve.common.tensor import disc, trace
 
 LAW_SHARE, AGAIN = 0.15, 2.0
@@ -111,7 +111,7 @@ def solve_on_demand(scene: Scene, rings: Rings, accuracy: float = ACCURACY) -> D
         if solution.status != "converged":
             if level is None:
                 what = "[support]" if solution.status == "infeasible" else f"status {solution.status}"
-                raise InputError(f"{scene.source}: {what}: {solution.message} (law of {len(rings.rows)} ring problems)")
+                scene.refuse(f"{what}: {solution.message} (law of {len(rings.rows)} ring problems)")
             status, why = "curtain_limit", {"why": solution.message}
             break
         scale = _scale(solution)
@@ -139,7 +139,7 @@ def solve_on_demand(scene: Scene, rings: Rings, accuracy: float = ACCURACY) -> D
         share = FALL * max(level.gap - part, 0.0) / scale
         mesh = refine(mesh, mark(level.error))
     if level is None:
-        raise InputError(f"{scene.source}: no bounds after {len(turns)} turns; ask for less accuracy")
+        scene.refuse(f"no bounds after {len(turns)} turns; ask for less accuracy")
     return Demand(level, rings.law, rings, tuple(turns), accuracy, status, SENTENCES[status].format(**why))
 
 
@@ -147,7 +147,7 @@ def _scale(solution: CurtainSolution) -> float:
     """Total load times height, N mm; InputError without load."""
     scene, total = solution.problem.scene, float(np.abs(solution.problem.force).sum())
     if total == 0.0:
-        raise InputError(f"{scene.source}: carries no load, so that no interval is narrow; give it weight or a pull")
+        scene.refuse("carries no load, so that no interval is narrow; give it weight or a pull")
     return total * solution.problem.mesh.height
 
 

@@ -30,7 +30,7 @@ from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.path import PathResult, times
 from macro_fem.solvers.status import ROUNDING, Evidence
 from macro_fem.solvers.walls import TOUCHED, Walls
-from rve.common import Array, InputError, NotConverged, digits
+from rve.common import Array, NotConverged, digits
 from rve.common.drawing.plane import save_figure
 from rve.common.drawing.space import THREE_QUARTERS
 from rve.common.meshes import write_mesh_file
@@ -92,10 +92,9 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             held = self.at(self.near)[0].supports  # without those that let go at t = 0
             away = np.where(held.mask, held.positions - x, 0.0)
             if np.abs(away).max(initial=0.0) > 1e-6 * self.size:
-                raise InputError(
-                    f"{scene.source}: [motion] start = 'reference': supports hold points up to "
-                    f"{digits(np.abs(away).max(), 4)} mm from where they are there; use 'hung', or a history that "
-                    "begins there"
+                scene.refuse(
+                    f"[motion] start = 'reference': supports hold points up to {digits(np.abs(away).max(), 4)} mm from "
+                    "where they are there; use 'hung', or a history that begins there"
                 )
             P = np.zeros((problem.disc.n_points, problem.fem.d, 2))
             S, cones, forces = np.zeros((len(P), 3)), None, np.zeros_like(x)

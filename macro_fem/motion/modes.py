@@ -157,10 +157,10 @@ def _pendulum(solution: CurtainSolution) -> float:
     problem, S = solution.problem, solution.S
     mass, weight = masses_of(problem).sum(), problem.disc.weight
     if not mesh_masses(problem).any():
-        raise InputError(f"{problem.scene.source}: [curtain] areal_mass = 0: a curtain without mass has no modes")
+        problem.scene.refuse("[curtain] areal_mass = 0: a curtain without mass has no modes")
     carried = float(weight @ (S[:, 0] + S[:, 2])) / problem.mesh.size
     if carried <= solution.noise:
-        raise InputError(f"{problem.scene.source}: [load]: no line loads hold the curtain, so that it has no modes")
+        problem.scene.refuse("[load]: no line loads hold the curtain, so that it has no modes")
     return 2.0 * carried / float(mass * problem.mesh.size)
 
 

@@ -14,7 +14,7 @@ from macro_fem.motion.step import Account, Moment, kinetic_energy, predicted
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Timed
-from rve.common import Array, InputError, tell
+from rve.common import Array, tell
 from rve.common.drawing.space import compose
 from rve.common.optional import Figure, Plotter
 
@@ -102,9 +102,9 @@ class Mover(ABC, Generic[F, A]):
 
     def __init__(self, scene: Scene) -> None:
         if scene.motion is None:
-            raise InputError(f"{scene.source}: [motion]: is missing, so nothing moves; give its duration in s")
+            scene.refuse("[motion]: is missing, so nothing moves; give its duration in s")
         if scene.motion.start == "hung" and not scene.support:
-            raise InputError(f"{scene.source}: [motion] start = 'hung': nothing holds the curtain, use 'reference'")
+            scene.refuse("[motion] start = 'hung': nothing holds the curtain, use 'reference'")
         self.scene, self.motion, self.balls = scene, scene.motion, scene.of(Ball)
         self.first_step = self.motion.step or self.motion.duration / FIRST_STEPS
         self.near = 1e-9 * self.motion.duration  # times that differ by less are one, s

@@ -83,7 +83,7 @@ class MovingRings(Mover[RingFrame, RingScene]):
     def first_frame(self) -> RingFrame:
         start, is_hung = self.who.start, self.motion.start == "hung"
         if start == "disk" or (start == "motion" and not is_hung):
-            raise InputError(f"{self.scene.source}: --start {start}: is for rings at rest; begin from the slack weave")
+            self.scene.refuse(f"--start {start}: is for rings at rest; begin from the slack weave")
         if not is_hung:
             return self.frame_of(self._slack())
         found = self.first.solve(space=self.who.space, options=FiniteOptions(by_motion=start == "motion"))
@@ -99,7 +99,7 @@ class MovingRings(Mover[RingFrame, RingScene]):
         asked, scene = self.at(self.near), self.scene
         where = f"{scene.source}: [motion] start = 'reference'"
         if asked.scene.in_space and not self.who.space:
-            raise InputError(f"{scene.source}: {asked.scene.space_reason}: centres cannot stay there")
+            scene.refuse(f"{asked.scene.space_reason}: centres cannot stay there")
         rings = slack_rings(asked.mesh, space=self.who.space, walls=asked.walls)
         away = float(np.abs(np.where(asked.held, asked.at - rings.centre, 0.0)).max(initial=0.0))
         if away > NEAR * asked.mesh.cell.r1:
@@ -116,9 +116,7 @@ class MovingRings(Mover[RingFrame, RingScene]):
         asked, gap = self.at(0.0), rings.contacts.min_gap_mm
         rings = with_bodies(rings, self.bodies)
         if rings.contacts.min_gap_mm < min(gap, 0.0):
-            raise InputError(
-                f"{self.scene.source}: [[body]]: rings are inside a body at the start; put it farther away"
-            )
+            self.scene.refuse("[[body]]: rings are inside a body at the start; put it farther away")
         moment, account = self.at_start(ring_places(rings), self.masses(asked), self.weights(asked))
         return RingFrame(moment=moment, account=account, rings=rings, asked=asked)
 

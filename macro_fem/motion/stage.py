@@ -17,7 +17,7 @@ from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Timed, Wind
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.walls import TOUCHED, Walls
-from rve.common import Array, InputError, digits
+from rve.common import Array, digits
 
 TONNE = 1e-3
 """N s2/mm per kg: with lengths in mm and forces in N."""
@@ -45,7 +45,7 @@ def mesh_masses(problem: CurtainProblem) -> Array:
     """Masses (n_nodes,) of the mesh alone, N s2/mm; InputError for P2."""
     scene, disc = problem.scene, problem.disc
     if disc.element != "P1":
-        raise InputError(f"{scene.source}: [mesh] element = {disc.element!r}: motion needs P1")
+        scene.refuse(f"[mesh] element = {disc.element!r}: motion needs P1")
     per_area = areal_mass(scene, problem.law.cell)[0] * PER_MM2 * TONNE
     return np.asarray(per_area * load_vector(disc, np.array([1.0]))[:, 0])
 
@@ -169,9 +169,8 @@ class Contacts:
         ]
         for words, deep in met:
             if deep > TOUCHED * self.problem.mesh.size:
-                raise InputError(
-                    f"{self.problem.scene.source}: [[body]]{words} is {digits(deep, 4)} mm inside it at the start; put "
-                    "it farther away"
+                self.problem.scene.refuse(
+                    f"[[body]]{words} is {digits(deep, 4)} mm inside it at the start; put it farther away"
                 )
 
     def work(self, walls: Walls, force: Array, x: Array) -> tuple[float, float]:

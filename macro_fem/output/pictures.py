@@ -48,8 +48,7 @@ class Pictures:
         if self.html:
             check_page(f"{self.stem}.html", "leave out --html")
         if self.animation and scene is not None and scene.load.steps < 2 and scene.motion is None:
-            nothing = f"there is nothing to animate; set steps = 10 or {NO_GIF}"
-            raise InputError(f"{scene.source}: [load] steps = 1: {nothing}")
+            scene.refuse(f"[load] steps = 1: there is nothing to animate; set steps = 10 or {NO_GIF}")
         report, dxf = ("report", ".pdf", "matplotlib", "plots"), ("dxf", ".dxf", "ezdxf", "cad")
         for name, ending, package, extra in (report, dxf):
             path: Path | None = getattr(self, name)

@@ -75,7 +75,7 @@ class RingScene:
         """
         scene, pins = self.scene, self.pins
         if scene.in_space and not space:
-            raise InputError(f"{scene.source}: {scene.space_reason}: centres cannot stay there")
+            scene.refuse(f"{scene.space_reason}: centres cannot stay there")
         guide = None if disk is None else disk.places(self.mesh.X)
         if guide is not None and not scene.in_space:
             guide[:, 2] = np.nan
@@ -90,9 +90,9 @@ class RingScene:
         forces = pins.along(found.reaction)
         worst = int(np.abs(np.nan_to_num(forces)).argmax())
         if found.status == "converged" and abs(forces[worst]) > SLIDES * np.abs(self.force).sum():
-            raise InputError(
-                f"{scene.source}: [obstacle]: nothing carries the force of {-forces[worst]:.6g} N along "
-                f"{told(pins.direction[worst])}, in which the supports let the rings slide: hold them there"
+            scene.refuse(
+                f"[obstacle]: nothing carries the force of {-forces[worst]:.6g} N along {told(pins.direction[worst])}, "
+                "in which the supports let the rings slide: hold them there"
             )
         reaction = found.reaction.copy()
         reaction[pins.nodes] -= forces[:, None] * pins.direction  # pins carry no force
@@ -121,14 +121,13 @@ def ring_scene(scene: Scene, rings: Cell | MembraneLaw | None = None, *, at_rest
         law = default_law() if rings is None else rings
         info = with_material(law, dict(scene.material), f"{scene.source}: [material]").cell
     if info is None:
-        raise InputError(f"{scene.source}: the law has no rings; take one that was fitted to a table of rings")
+        scene.refuse("the law has no rings; take one that was fitted to a table of rings")
     if scene.motion is not None:
-        raise InputError(f"{scene.source}: [motion]: is for rings over time, use macro_fem rings or MovingRings")
+        scene.refuse("[motion]: is for rings over time, use macro_fem rings or MovingRings")
     if any(wind.follows for wind in scene.of(Wind)):
-        raise InputError(f"{scene.source}: follows = true of [load.wind]: is not for every ring")
-    round_ = [item.name for item in scene.of(Body)]
-    if round_:
-        raise InputError(f"{scene.source}: [obstacle] {round_[0]}: rings stay out of floors and walls, of nothing else")
+        scene.refuse("follows = true of [load.wind]: is not for every ring")
+    for body in scene.of(Body):
+        scene.refuse(f"[obstacle] {body.name}: rings stay out of floors and walls, of nothing else")
     check_sizes(scene, info.r1_mm)
     mesh = _finite_mesh(_in_whole_cells(scene, info)[0], info)
     return with_loads(scene, info, mesh, None if at_rest else frozenset())
@@ -155,23 +154,21 @@ def _in_whole_cells(scene: Scene, info: CellInfo) -> tuple[Scene, tuple[str, ...
 
 
 def _finite_mesh(scene: Scene, info: CellInfo) -> FiniteMesh:
-    curtain, source = scene.curtain, scene.source
+    curtain = scene.curtain
     if isinstance(curtain, MeshFile):
-        raise InputError(f'{source}: [curtain] shape = "file": has no outline of its own, use shape = "outline"')
+        scene.refuse('[curtain] shape = "file": has no outline of its own, use shape = "outline"')
     outline = curtain.corners(scene.mesh.cells)
     spans = np.ptp(outline, axis=0)
     count = float(spans.prod()) / (info.b_x_mm * info.b_y_mm)
     if count > MOST_CELLS:
-        raise InputError(
-            f"{source}: [curtain]: {count:.3g} cells of the weave are more than {MOST_CELLS}; make it smaller"
-        )
+        scene.refuse(f"[curtain]: {count:.3g} cells of the weave are more than {MOST_CELLS}; make it smaller")
     cell = cell_of_sides(info.r1_mm, info.r2_mm, (info.b_x_mm, info.b_y_mm))
     mass = 1e-6 * info.areal_mass_kg_per_m2 * info.b_x_mm * info.b_y_mm / cell.weave.classes  # of a ring
     cell = replace(cell, density=cell.density * mass / cell.ring_mass)
     try:
         return FiniteMesh.inside(cell, outline, [np.array(hole) for hole in curtain.holes], curtain.weave_angle)
     except InputError as error:
-        raise InputError(f"{source}: [curtain]: {error}") from error
+        raise InputError(f"{scene.source}: [curtain]: {error}") from error
 
 
 def _nearest_rings(mesh: FiniteMesh, nodes: Array) -> tuple[Index, csr_matrix]:
@@ -199,7 +196,7 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
     everything = nodal_forces(scene, fem, disc, info)
     supports = build_supports(scene, fem, disc, released=released or frozenset())
     if len(supports.sliding.nodes):
-        raise InputError(f"{scene.source}: [support] sliding = true: rings slide along x, y or z, on no sloping line")
+        scene.refuse("[support] sliding = true: rings slide along x, y or z, on no sloping line")
     if released is None:
         supports = pin_sliding(supports, disc, everything, scene.source)
     ring, onto = _nearest_rings(mesh, disc.nodes)

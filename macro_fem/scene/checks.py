@@ -14,7 +14,6 @@ from macro_fem.scene.obstacles import Body
 from macro_fem.scene.shapes import Disk, MeshFile, Rectangle
 from macro_fem.scene.sites import Hanging
 from macro_fem.scene.tables import NO_MOVE, Bar, LiveLoad, Timed, Wind, in_3d
-from rve.common import InputError
 from rve.common.typed import BadField
 
 if TYPE_CHECKING:
@@ -29,7 +28,7 @@ rest."""
 def check_scene(scene: Scene) -> None:
     """InputError for records that contradict each other, and for keys that change nothing."""
     for what in _contradictions(scene):
-        raise InputError(f"{scene.source}: {what}")
+        scene.refuse(what)
 
 
 def _contradictions(scene: Scene) -> Iterator[str]:
@@ -118,15 +117,14 @@ def _of_combinations(scene: Scene) -> Iterator[str]:
 
 def check_bounds(scene: Scene, by: str) -> None:
     """InputError if a scene is one whose curtain cannot be bounded; `by`: the words that asked for bounds."""
-    where, solver = f"{scene.source}: {by}", scene.solver
-    if solver.is_elastic:
-        raise InputError(f"{where} need rings that lock, [solver] kind = 'rigid' or 'auto', not 'elastic'")
+    if scene.solver.is_elastic:
+        scene.refuse(f"{by} need rings that lock, [solver] kind = 'rigid' or 'auto', not 'elastic'")
     if any(wind.follows for wind in scene.of(Wind)):
-        raise InputError(f"{where} do not go with following pressure, no dead load")
+        scene.refuse(f"{by} do not go with following pressure, no dead load")
     for body in scene.of(Body):
-        raise InputError(f"{where} do not go with {body.name}: outside a body the problem is not convex")
+        scene.refuse(f"{by} do not go with {body.name}: outside a body the problem is not convex")
     if scene.mesh.element != "P1":
-        raise InputError(f"{where} need element = 'P1', not {scene.mesh.element!r}")
+        scene.refuse(f"{by} need element = 'P1', not {scene.mesh.element!r}")
 
 
 def check_sizes(scene: Scene, r1: float | None) -> None:
@@ -146,7 +144,6 @@ def check_sizes(scene: Scene, r1: float | None) -> None:
     for where, value, least, what in limits:
         if value < least:
             hint = f", did you mean {1e3 * value:g}?" if 1e3 * value >= least else ""
-            raise InputError(
-                f"{scene.source}: {where} = {value:g}: is less than the {what} of a ring, {least:g} mm; lengths are in "
-                f"mm{hint}"
+            scene.refuse(
+                f"{where} = {value:g}: is less than the {what} of a ring, {least:g} mm; lengths are in mm{hint}"
             )

@@ -25,7 +25,7 @@ from macro_fem.scene.sites import edge_nodes, facet_nodes, point_node
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
 from rve import cell_of_sides
 from rve import solidity as solidity_of
-from rve.common import Array, InputError
+from rve.common import Array
 
 PER_MM2 = 1e-6
 """m2 per mm2: kg/m2 times m/s2 is N/m2."""
@@ -44,7 +44,7 @@ def areal_mass(scene: Scene, cell: CellInfo | None) -> tuple[float, str]:
     if scene.curtain.areal_mass is not None:
         return scene.curtain.areal_mass, "scene"
     if cell is None:
-        raise InputError(f"{scene.source}: [curtain] areal_mass: is missing, and the law has no rings to tell it")
+        scene.refuse("[curtain] areal_mass: is missing, and the law has no rings to tell it")
     return cell.areal_mass_kg_per_m2, "law"
 
 
@@ -77,8 +77,9 @@ def nodal_forces(
         live += patch_load(patch, scene, mesh, disc)
     for wind in scene.of(Wind):
         if wind.speed is not None and cell is None:
-            what = f"speed = {wind.speed:g}: the law has no rings to tell the drag; give the pressure"
-            raise InputError(f"{scene.source}: [load.wind] {what}")
+            scene.refuse(
+                f"[load.wind] speed = {wind.speed:g}: the law has no rings to tell the drag; give the pressure"
+            )
         live += 0.0 if wind.follows else load_vector(disc, wind_per_area(wind, scene, cell))
     return dead + factor * live
 
@@ -113,9 +114,7 @@ def patch_load(load: PatchLoad, scene: Scene, mesh: CurtainMesh, disc: Discretiz
     """A force spread over a disk, even within each cell; InputError if the disk holds no part of the curtain."""
     shares = disk_areas(mesh.mesh.p.T[mesh.mesh.t.T], np.array(load.at), load.radius)
     if shares.sum() <= 0.0:
-        raise InputError(
-            f"{scene.source}: [load.patch] at = {list(load.at)}, radius = {load.radius:g}: holds no cell of the curtain"
-        )
+        scene.refuse(f"[load.patch] at = {list(load.at)}, radius = {load.radius:g}: holds no cell of the curtain")
     even = np.tile(shares / disc.cell_area, disc.n_quad)
     return load_vector(disc, even[:, None] * scene.vector(load.force) / shares.sum())
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
@@ -55,11 +55,15 @@ class Scene:
         object.__setattr__(self, "items", tuple(self.items))
         for item in self.items:
             if not isinstance(item, Item):
-                raise InputError(
-                    f"{self.source}: {shown(item)}: is no support, load or obstacle; "
+                self.refuse(
+                    f"{shown(item)}: is no support, load or obstacle; "
                     "mesh, load, solver, start, motion and combination are given by name"
                 )
         object.__setattr__(self, "material", described(dict(self.material), f"{self.source}: [material]"))
+
+    def refuse(self, what: str) -> NoReturn:
+        """InputError that names the file of the scene."""
+        raise InputError(f"{self.source}: {what}")
 
     def of(self, kind: type[Kind]) -> tuple[Kind, ...]:
         """The items of a kind: `scene.of(Bar)`."""

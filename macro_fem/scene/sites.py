@@ -110,9 +110,7 @@ class Support(Timed):
         scene, X, gather = site.scene, site.disc.nodes[nodes], getattr(self, "gather", 1.0)
         mask = np.tile([held == "both" or axis in held for axis in "xyz"[: scene.d]], (len(nodes), 1))
         if gather != 1.0 and np.abs((target - X)[mask[:, :2]]).max(initial=0.0) <= 1e-9 * site.mesh.size:
-            raise InputError(
-                f"{scene.source}: [support] gather = {gather:g}: has no effect on {name}, which it holds as it is"
-            )
+            scene.refuse(f"[support] gather = {gather:g}: has no effect on {name}, which it holds as it is")
         move = site.factor * scene.vector(getattr(self, "move", NO_MOVE))
         return Held(name, nodes, mask, in_space_of(target, scene.d) + move, facets)
 

@@ -94,9 +94,9 @@ def build_supports(
             x, y = disc.nodes[node]
             before = reversed(lines_first[:number])
             other = next(other for other in before if other.mask[other.nodes == node, axis].any())
-            raise InputError(
-                f"{scene.source}: [support]: {other.name} and {one.name} hold the point ({x:g}, {y:g}) at different "
-                f"places, {'xyz'[axis]} = {positions[node, axis]:g} and {target[node, axis]:g} mm"
+            scene.refuse(
+                f"[support]: {other.name} and {one.name} hold the point ({x:g}, {y:g}) at different places, "
+                f"{'xyz'[axis]} = {positions[node, axis]:g} and {target[node, axis]:g} mm"
             )
         positions = np.where(here, target, positions)
         mask |= here
@@ -107,9 +107,9 @@ def build_supports(
     partly = np.flatnonzero(ways.any(axis=1) & stiff.any(axis=1) & ~stiff.all(axis=1))
     if len(partly):
         x, y = disc.nodes[partly[0]]
-        raise InputError(
-            f"{scene.source}: [support]: another support holds some components of the point ({x:g}, {y:g}), which "
-            "slides on a sloping line; hold all of them there, or none"
+        scene.refuse(
+            f"[support]: another support holds some components of the point ({x:g}, {y:g}), which slides on a sloping "
+            "line; hold all of them there, or none"
         )
     lines = [(one.nodes, one.slide) for one in held if one.slide is not None]
     sliding = sliding_nodes(lines, np.asarray(stiff.all(axis=1)), scene.d)
@@ -123,10 +123,10 @@ def straight_bars(scene: Scene, mesh: CurtainMesh, disc: Discretization, mask: n
     for bar in (one for one in scene.of(Bar) if one.straight):
         nodes = edge_nodes(mesh, disc, bar.edge, f"{scene.source}: [load.bar] edge")
         if mask[nodes].any() or tied[nodes].any():
-            raise InputError(f"{scene.source}: [load.bar] edge = {bar.edge!r}: is held, or has a second bar")
+            scene.refuse(f"[load.bar] edge = {bar.edge!r}: is held, or has a second bar")
         off = X[nodes] - X[nodes[0]]
         if np.abs(cross(off, unit(off[-1])[:2])).max() > 1e-6 * mesh.size:
-            raise InputError(f"{scene.source}: [load.bar] edge = {bar.edge!r}: is not straight, use straight = false")
+            scene.refuse(f"[load.bar] edge = {bar.edge!r}: is not straight, use straight = false")
         inner, s = nodes[1:-1], off[1:-1] @ off[-1] / (off[-1] @ off[-1])
         ties[inner, inner] = 0.0
         ties[inner, nodes[0]], ties[inner, nodes[-1]] = 1.0 - s, s

@@ -116,9 +116,9 @@ def _plain_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
         mesh, edges = read_mesh(curtain, scene.source)
         width, height = np.ptp(mesh.p, axis=1).tolist()
         if cell is not None and min(width, height) < 2.0 * cell.r1_mm:
-            raise InputError(
-                f"{scene.source}: [curtain] file = {curtain.file!r}: its extents of {width:g} and {height:g} mm are "
-                f"less than a ring, {2.0 * cell.r1_mm:g} mm; were metres meant? Scale the mesh by 1000"
+            scene.refuse(
+                f"[curtain] file = {curtain.file!r}: its extents of {width:g} and {height:g} mm are less than a ring, "
+                f"{2.0 * cell.r1_mm:g} mm; were metres meant? Scale the mesh by 1000"
             )
         return CurtainMesh(mesh, "file", edges)
     aspect = 1.0 if cell is None else cell.b_y_mm / cell.b_x_mm  # slope of the diagonal families
@@ -141,15 +141,13 @@ def _refuse_too_many(scene: Scene, outline: Array, aspect: float) -> None:
     width, height = np.ptp(outline, axis=0)
     slender = float(height / width) if width > 0.0 else 0.0  # no width: refused as an outline without area
     if 0.0 < slender < 1e-6:
-        raise InputError(
-            f"{scene.source}: [curtain] is {slender:.3g} times as high as wide: check the units of its sides"
-        )
+        scene.refuse(f"[curtain] is {slender:.3g} times as high as wide: check the units of its sides")
     least_row = min(1.0, aspect, 1.0 / aspect)
     count = 4.0 * cells * max(1.0, cells * slender / least_row)
     if count > MAX_TRIANGLES:
-        raise InputError(
-            f"{scene.source}: [mesh] cells = {cells}: makes up to {count:.3g} triangles on a curtain {slender:.3g} "
-            f"times as high as wide, at most {MAX_TRIANGLES:.3g} are allowed; use fewer cells or check its units"
+        scene.refuse(
+            f"[mesh] cells = {cells}: makes up to {count:.3g} triangles on a curtain {slender:.3g} times as high as "
+            f"wide, at most {MAX_TRIANGLES:.3g} are allowed; use fewer cells or check its units"
         )
 
 
