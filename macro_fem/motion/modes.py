@@ -200,7 +200,7 @@ def _of_one_component(solution: CurtainSolution) -> tuple[sparse.spmatrix, ...]:
     own, unit = mesh_masses(problem), mass.assemble(skfem.CellBasis(problem.mesh.mesh, element))
     M, lumped = own.sum() / unit.sum() * unit, sparse.diags(own)
     for bar in problem.scene.of(Bar):
-        facets = problem.mesh.edge(bar.edge, f"{problem.scene.source}: [load.bar] edge")
+        facets = problem.mesh.edges[bar.edge]
         along = mass.assemble(skfem.FacetBasis(problem.mesh.mesh, element, facets=facets))
         along = TONNE * bar.mass / along.sum() * along
         M, lumped = M + along, lumped + (along if bar.straight else sparse.diags(along @ np.ones(len(own))))

@@ -156,8 +156,7 @@ def nearest(solution: CurtainSolution, at: Array) -> str:
     places |= {name: np.array([load.at]) for name, load in spot_loads(scene)}
     edges: list[tuple[int, EdgeLoad | Bar]] = [*enumerate(scene.of(EdgeLoad), 1), *enumerate(scene.of(Bar), 1)]
     for n, one in edges:
-        on_edge = edge_nodes(problem.mesh, problem.disc, one.edge, f"{scene.source}: {one.where} edge")
-        places[f"load.{one.kind} {n} ({one.edge})"] = nodes[on_edge]
+        places[f"load.{one.kind} {n} ({one.edge})"] = nodes[edge_nodes(problem.mesh, problem.disc, one.edge)]
     return min(places, key=lambda name: float(np.linalg.norm(places[name] - at, axis=1).min()))
 
 

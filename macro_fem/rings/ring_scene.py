@@ -217,7 +217,7 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
     bars = []
     mass = areal_mass(scene, info)[0] * PER_MM2 * mesh.area + onto @ bar_masses(scene, fem, disc, turning=True)
     for bar in (one for one in scene.of(Bar) if one.straight):
-        line = ring[edge_nodes(fem, disc, bar.edge, f"{scene.source}: [load.bar] edge")]
+        line = ring[edge_nodes(fem, disc, bar.edge)]
         bars.append(line[np.sort(np.unique(line, return_index=True)[1])])
     groups = tuple((one.name, on_rings(one.components(supports.mask.shape))) for one in supports.held)
     walls = []

@@ -69,8 +69,7 @@ def nodal_forces(
     dead += bar_masses(scene, mesh, disc)[:, None] * scene.vector(scene.load.acceleration)
     live = np.zeros_like(dead)
     for edge in scene.of(EdgeLoad):
-        shares = edge_shares(mesh, disc, edge.edge, f"{scene.source}: [load.edge] edge")
-        live += shares[:, None] * scene.vector(edge.force)
+        live += edge_shares(mesh, disc, edge.edge)[:, None] * scene.vector(edge.force)
     for point in scene.of(PointLoad):
         live[point_node(point.at, disc)] += scene.vector(point.force)
     for patch in scene.of(PatchLoad):
@@ -89,8 +88,7 @@ def bar_masses(scene: Scene, mesh: CurtainMesh, disc: Discretization, *, turning
     m length^2 / 12, about the middle of straight ones with three nodes or more."""
     mass = np.zeros(disc.n_nodes)
     for bar in scene.of(Bar):
-        where = f"{scene.source}: [load.bar] edge"
-        shares, nodes = edge_shares(mesh, disc, bar.edge, where), edge_nodes(mesh, disc, bar.edge, where)
+        shares, nodes = edge_shares(mesh, disc, bar.edge), edge_nodes(mesh, disc, bar.edge)
         own = shares[nodes] / shares.sum()
         if turning and bar.straight and len(nodes) > 2:
             along = np.linalg.norm(disc.nodes[nodes] - disc.nodes[nodes[0]], axis=1)
@@ -102,9 +100,9 @@ def bar_masses(scene: Scene, mesh: CurtainMesh, disc: Discretization, *, turning
     return mass
 
 
-def edge_shares(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> Array:
+def edge_shares(mesh: CurtainMesh, disc: Discretization, name: str) -> Array:
     """Integral of every shape function over a named edge (n_nodes,), mm."""
-    facets = mesh.edge(name, where)
+    facets = mesh.edges[name]
     parts = [1.0 / 6.0, 1.0 / 6.0, 2.0 / 3.0] if disc.element == "P2" else [0.5, 0.5]
     each = np.multiply.outer(parts, np.hypot(*mesh.sides[facets].T))
     return np.bincount(facet_nodes(mesh, disc, facets).ravel(), each.ravel(), disc.n_nodes).astype(float)

@@ -98,10 +98,9 @@ class Support(Timed):
         """
         raise NotImplementedError
 
-    def _edge(self, site: Site, name: str = "top", key: str = "needs edge") -> tuple[np.ndarray, np.ndarray]:
-        """Nodes (k,) and facets (m,) of a named edge; InputError if there is no such edge."""
-        where = f"{site.scene.source}: {self.where} {key}"
-        return edge_nodes(site.mesh, site.disc, name, where), site.mesh.edge(name, where)
+    def _edge(self, site: Site, name: str = "top") -> tuple[np.ndarray, np.ndarray]:
+        """Nodes (k,) and facets (m,) of a named edge."""
+        return edge_nodes(site.mesh, site.disc, name), site.mesh.edges[name]
 
     def _held(
         self, site: Site, name: str, nodes: np.ndarray, target: Array, held: str = "both", facets: np.ndarray = NONE
@@ -165,9 +164,9 @@ class Hanging(Support):
         return np.concatenate(found), np.max(fitted, axis=0).tolist()
 
 
-def edge_nodes(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> np.ndarray:
-    """Node numbers on the named edge, ordered along it for straight ones; InputError if there is no such edge."""
-    nodes = np.unique(facet_nodes(mesh, disc, mesh.edge(name, where)))
+def edge_nodes(mesh: CurtainMesh, disc: Discretization, name: str) -> np.ndarray:
+    """Node numbers on the named edge, ordered along it for straight ones."""
+    nodes = np.unique(facet_nodes(mesh, disc, mesh.edges[name]))
     return nodes[in_order(disc.nodes[nodes])]
 
 
@@ -229,7 +228,7 @@ def edge_line(mesh: CurtainMesh, name: str, where: str) -> Line:
 
     InputError, which begins with `where`, if the edge is no single open line.
     """
-    lines = paths(mesh.mesh.facets[:, mesh.edge(name, where)].T, mesh.mesh.p.T)
+    lines = paths(mesh.mesh.facets[:, mesh.edges[name]].T, mesh.mesh.p.T)
     if len(lines) != 1 or lines[0].is_closed:
         what = "closed" if len(lines) == 1 else f"made of {len(lines)} pieces"
         raise InputError(f"{where} = {name!r}: is {what}, but a track or line needs an edge that is one open line")

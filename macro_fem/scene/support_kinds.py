@@ -80,7 +80,6 @@ class Hooks(Hanging, kind="hooks"):
         super().check()
 
     def hold(self, site: Site) -> Held:
-        self._edge(site)
         nodes = site.mesh.hooks[site.number].nodes
         return self._held(site, "hooks", nodes, self._narrowed(site, nodes), "yz" if self.sliding else "both")
 
@@ -121,7 +120,7 @@ class Edge(Support, kind="edge"):
         return super().space_reason
 
     def hold(self, site: Site) -> Held:
-        nodes, facets = self._edge(site, self.edge, "edge")
+        nodes, facets = self._edge(site, self.edge)
         if self.along is not None:
             return self._on_line(site, self.along, facets)
         X = site.disc.nodes[nodes]

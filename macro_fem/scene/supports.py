@@ -121,7 +121,7 @@ def straight_bars(scene: Scene, mesh: CurtainMesh, disc: Discretization, mask: n
     without bars. InputError for an edge that is bent, has components in the `mask` (n, d) of held ones, or two bars."""
     X, ties, tied = disc.nodes, sparse.eye(disc.n_nodes, format="lil"), np.zeros(disc.n_nodes, bool)
     for bar in (one for one in scene.of(Bar) if one.straight):
-        nodes = edge_nodes(mesh, disc, bar.edge, f"{scene.source}: [load.bar] edge")
+        nodes = edge_nodes(mesh, disc, bar.edge)
         if mask[nodes].any() or tied[nodes].any():
             scene.refuse(f"[load.bar] edge = {bar.edge!r}: is held, or has a second bar")
         off = X[nodes] - X[nodes[0]]

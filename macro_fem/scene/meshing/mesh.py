@@ -20,9 +20,9 @@ from macro_fem.scene.meshing.mesh_files import read_mesh
 from macro_fem.scene.meshing.nodes import with_nodes_at
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
-from macro_fem.scene.sites import Hanging
-from macro_fem.scene.support_kinds import Point
-from macro_fem.scene.tables import PatchLoad, PointLoad, Vector
+from macro_fem.scene.sites import Hanging, Support
+from macro_fem.scene.support_kinds import Edge, Point
+from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Vector
 from rve.common import Array, InputError
 
 MAX_TRIANGLES = 4_000_000
@@ -57,12 +57,6 @@ class CurtainMesh:
     edges: dict[str, np.ndarray] = field(repr=False)
     hooks: dict[int, HookRow] = field(default_factory=dict, repr=False)
 
-    def edge(self, name: str, where: str) -> np.ndarray:
-        """Facet numbers of a named edge; InputError, which begins with `where`, if there is no such edge."""
-        if name not in self.edges:
-            raise InputError(f"{where} = {name!r}: the curtain has no such edge, only {', '.join(sorted(self.edges))}")
-        return self.edges[name]
-
     @property
     def height(self) -> float:
         """Extent along y, mm."""
@@ -88,12 +82,18 @@ class CurtainMesh:
 def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     """The mesh a scene asks for, with nodes where it holds and loads points.
 
-    InputError if its outline or mesh file cannot be meshed, or a point lies off it or would need a flat cell.
+    InputError if its outline or mesh file cannot be meshed, an edge is missing, or a point lies off it or would need a
+    flat cell.
     """
     mesh = _plain_mesh(scene, cell)
-    top = paths(mesh.mesh.facets[:, mesh.edges["top"]].T, mesh.mesh.p.T) if "top" in mesh.edges else []
-    hanging = [(number, item) for number, item in enumerate(scene.support) if isinstance(item, Hanging)]
-    rows = {n: item.hook_places(top, f"{scene.source}: {item.where}") for n, item in hanging if top and item.has_hooks}
+    for item in scene.items:
+        needs, name = ("edge", item.edge) if isinstance(item, Edge | EdgeLoad | Bar) else ("needs edge", "top")
+        if name not in mesh.edges and isinstance(item, Support | EdgeLoad | Bar) and not isinstance(item, Point):
+            known = ", ".join(sorted(mesh.edges))
+            scene.refuse(f"{item.where} {needs} = {name!r}: the curtain has no such edge, only {known}")
+    hooked = [(n, item) for n, item in enumerate(scene.support) if isinstance(item, Hanging) and item.has_hooks]
+    top = paths(mesh.mesh.facets[:, mesh.edges["top"]].T, mesh.mesh.p.T) if hooked else []
+    rows = {number: item.hook_places(top, f"{scene.source}: {item.where}") for number, item in hooked}
     wanted: list[tuple[str, Vector]]
     wanted = [(f"[support] hook at [{x:g}, {y:g}]", (x, y)) for places, _ in rows.values() for x, y in places.tolist()]
     points: list[Point | PointLoad | PatchLoad]
