@@ -197,19 +197,20 @@ class Mover(ABC, Generic[F, A]):
 
         What hangs at rest stays there until something changes. Steps end where a support lets go, after which the first
         one is Euler's. Steps without a length of their own also end at the times of histories: long ones at rest would
-        pass a gust unseen.
+        pass a gust unseen. No such step is shorter than the least one, of which rounding leaves too little.
         """
         frame = start or replace(self.first_frame(), h=self.first_step)
-        end, near = self.motion.duration, self.near
+        end, near, least = self.motion.duration, self.near, SMALLEST * self.first_step
         releases = {item.release for item in self.scene.support if item.release is not None}
         timed = self.scene.of(Timed) if self.motion.step is None else ()
-        stops = releases | {t for item in timed for t, _ in item.history}
+        kinks = {t for item in timed for t, _ in item.history}
         yield frame
         while (t := frame.moment.t) < end - near:
             tell(f"{self.what} in motion, {t:.4g} of {end:.4g} s", t / end)
             if any(abs(t - release) <= near for release in releases):
                 frame = replace(frame, is_euler=True)
-            frame = self._accurate(frame, min([end, *(stop for stop in stops if stop > t + near)]) - t)
+            stops = [one for one in releases if one > t + near] + [max(k, t + least) for k in kinks if k > t + near]
+            frame = self._accurate(frame, min([end, *stops]) - t)
             yield frame
 
     def _accurate(self, frame: F, left: float) -> F:

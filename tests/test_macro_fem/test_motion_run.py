@@ -89,7 +89,7 @@ def test_a_corner_let_go_swings_about_the_other():
 )
 def test_a_gust_pushes_as_its_history_says(begin, step):
     """Also one that comes late, when steps of their own length have grown longer than it."""
-    history = [[begin, 0.0], [begin + 0.02, 1.0], [begin + 0.04, 0.0]]
+    history = [[begin, 0.0], [begin + 0.02, 1.0], [begin + 0.02 + 1e-8, 1.0], [begin + 0.04, 0.0]]
     wind = {"pressure": 2.0, "direction": [0.0, 0.0, 1.0], "history": history}
     found, told = moved(FREE | {"load": {"wind": wind}, "motion": {"duration": begin + 0.06} | step})
     masses = masses_of(found.frames[-1].problem, ())
@@ -97,6 +97,7 @@ def test_a_gust_pushes_as_its_history_says(begin, step):
     momentum = float(masses @ found.frames[-1].moment.v[:, 2])
     assert momentum == pytest.approx(2e-6 * 400.0**2 * 0.02, rel=2e-2)  # pressure times area times mean time
     assert told["work_N_mm"][-1] > 0.0
+    assert np.diff(told["t_s"]).min() > 4e-7  # no step between two times that are nearly one
 
 
 def test_still_air_after_a_gust_slows_the_sheet():
