@@ -167,8 +167,7 @@ def run_scene(
     with noted_if_stopped(f"what was in {out} before is unchanged"):
         found = solve(scene, law if on_demand is None else on_demand)
         assert isinstance(found, MembraneSolution)
-        drawn = {"picture": wanted.picture, "animation": wanted.animation, "html": wanted.html}
-        summary = found.save(out, inputs=inputs, **drawn)
+        summary = found.save(out, picture=wanted.picture, animation=wanted.animation, html=wanted.html, inputs=inputs)
         if wanted.report is not None:
             found.write_report(wanted.report, inputs)
         if wanted.dxf is not None:
