@@ -90,7 +90,7 @@ def make_problem(
     force = nodal_forces(scene, mesh, disc, law.cell, factor)
     supports = build_supports(scene, mesh, disc, factor, released or frozenset())
     if released is None:
-        supports = pin_sliding(supports, disc, force, scene.source)
+        supports = pin_sliding(supports, disc, force, scene)
     hung = HungLaw.at(law, scene.curtain.weave_angle)
     fem = supports.fem(disc)
     problem = CurtainProblem(scene, mesh, disc, hung, supports, fem, force, Walls.none(fem.x_held.shape), factor)

@@ -129,7 +129,7 @@ def dual_problem(solution: CurtainSolution, near_slack: Array) -> DualProblem:
             lines.append((nodes, held.slide))
     sliding, no_pins = sliding_nodes(lines, whole, d), Sliding.none(d)
     supports = Supports(given.held, mask, positions, sliding, no_pins, straight_bars(scene, mesh, disc, mask))
-    fem = pin_sliding(supports, disc, force, scene.source).fem(disc)
+    fem = pin_sliding(supports, disc, force, scene).fem(disc)
     centre = np.where(component, centre, np.nan)
     return DualProblem(mesh, fem, force, cost, facet, near, centre, _walls(problem.walls, disc))
 

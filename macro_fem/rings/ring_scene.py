@@ -198,7 +198,7 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
     if len(supports.sliding.nodes):
         scene.refuse("[support] sliding = true: rings slide along x, y or z, on no sloping line")
     if released is None:
-        supports = pin_sliding(supports, disc, everything, scene.source)
+        supports = pin_sliding(supports, disc, everything, scene)
     ring, onto = _nearest_rings(mesh, disc.nodes)
     force = padded(mesh.area[:, None] * weight + onto @ (everything - load_vector(disc, weight)))
     blown = (one for one in scene.of(Wind) if one.speed is not None)

@@ -14,7 +14,7 @@ from macro_fem.scene.obstacles import unit
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.sites import PARALLEL, Held, Site, Sliding, edge_nodes, sliding_nodes, sloping
 from macro_fem.scene.tables import Bar
-from rve.common import Array, InputError
+from rve.common import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +134,7 @@ def straight_bars(scene: Scene, mesh: CurtainMesh, disc: Discretization, mask: n
     return ties.tocsc() if tied.any() else None
 
 
-def pin_sliding(supports: Supports, disc: Discretization, force: Array, source: object) -> Supports:
+def pin_sliding(supports: Supports, disc: Discretization, force: Array, scene: Scene) -> Supports:
     """Pins one node along every direction in which a piece of the curtain can slide as a whole.
 
     InputError for a piece that nothing holds, and for a load `force` (n_nodes, d) along a free sliding.
@@ -147,13 +147,13 @@ def pin_sliding(supports: Supports, disc: Discretization, force: Array, source: 
         x, y = disc.nodes[own].mean(axis=0)
         if not supports.mask[own].any():
             what = "nothing holds the curtain" if number == 1 else f"nothing holds the piece around ({x:g}, {y:g})"
-            raise InputError(f"{source}: [support]: {what}, so that it falls")
+            scene.refuse(f"[support]: {what}, so that it falls")
         for way, at in _free_ways(supports, own, disc):
             push = float((force[own] @ way).sum())
             if abs(push) > 1e-9 * total:
-                raise InputError(
-                    f"{source}: [load]: nothing carries the force of {push:.6g} N along {told(way)}, in which the "
-                    f"supports let the piece around ({x:g}, {y:g}) slide"
+                scene.refuse(
+                    f"[load]: nothing carries the force of {push:.6g} N along {told(way)}, in which the supports let "
+                    f"the piece around ({x:g}, {y:g}) slide"
                 )
             nodes.append(at)
             ways.append(way)
