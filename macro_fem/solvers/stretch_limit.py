@@ -33,6 +33,7 @@ REACH_GAP = 1e-6
 """Accuracy of the factor. It must stay below AT_LIMIT; smaller values cost steps and decide nothing."""
 SURE = 2.0
 """The search for the factor ends early once it exceeds 1 by this many times AT_LIMIT. Larger ones search longer."""
+MOST_CUTS = 20
 
 Solve = Callable[[SupportedFem, Array, PathOptions, Walls], PathResult]
 """A rigid solver of a discretisation from unknowns (n,), outside of half-spaces on nodes."""
@@ -42,9 +43,10 @@ def reach_of(fem: SupportedFem, law: MembraneLaw, start: Array, size: float) -> 
     """How much farther apart the supports of a curtain of extent `size` (mm) could be; cheap where the unknowns `start`
     are slack everywhere.
     """
-    margin = least_slack(law, green_strain(fem.gradient(start)))
-    if margin > SURE * 2.0 * AT_LIMIT:
-        return Reach(_stretchable(1.0, margin), np.inf)
+    far = 1.0 + SURE * AT_LIMIT
+    lower = _stretchable(law, fem.gradient(start), 1.0)
+    if lower > far:
+        return Reach(lower, np.inf)
     wider = movable(fem, size)
     if wider is None:
         return FREE
@@ -52,18 +54,24 @@ def reach_of(fem: SupportedFem, law: MembraneLaw, start: Array, size: float) -> 
     load[-1] = 1.0
 
     def bounds(z: Array, dual: float) -> Reach:
-        factor = max(0.0, float(z[-1]) / size)
-        return Reach(_stretchable(factor, least_slack(law, green_strain(wider.gradient(z)))), max(0.0, -dual / size))
+        return Reach(_stretchable(law, wider.gradient(z), float(z[-1]) / size), max(0.0, -dual / size))
 
-    far = 1.0 + SURE * AT_LIMIT
     options = PathOptions(REACH_GAP, REACH_GAP, drawn=False, enough=lambda z, dual: bounds(z, dual).lower > far)
     result = solve_path(wider, law, load, np.zeros(wider.n), size, options)
     return bounds(result.z, result.dual)
 
 
-def _stretchable(factor: float, margin: float) -> float:
-    """How far a state at `factor` may be scaled: |F L|^2 = (1 - margin) c^2 at the fullest half-space."""
-    return factor / float(np.sqrt(1.0 - min(margin, 1.0 - 1e-9))) if factor > 0.0 else 0.0
+def _stretchable(law: MembraneLaw, F: Array, factor: float) -> float:
+    """`factor` times the largest t with t F (n, 2, 2) in the law, 0 for a factor below 0. Each half-space met lowers t
+    to where |t F L|^2 = c^2: the one with the least slack at a small F need not be the first that t F fills.
+    """
+    t = 1.0
+    for _ in range(MOST_CUTS if factor > 0.0 else 0):
+        slack = least_slack(law, green_strain(t * F))
+        t /= float(np.sqrt(1.0 - min(slack, 1.0 - 1e-9)))
+        if abs(slack) < 1e-12:
+            break
+    return t * max(0.0, factor)
 
 
 def movable(fem: SupportedFem, size: float) -> SupportedFem | None:

@@ -134,6 +134,20 @@ def test_the_reach_of_a_held_top_has_its_closed_form(gather):
     assert supports_reach(problem).is_out == (gather == 1.7)
 
 
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.7])
+def test_no_reach_is_claimed_beyond_a_locked_even_stretch(share):
+    """Of strains far inside the law the fullest half-space is not the one that they fill first, once stretched."""
+    law, S = default_law(), np.array([[share, 0.0, 1.0 - share]])
+    width, height = np.sqrt(1.0 + 2.0 * law.vertices[(law.vertices @ S[0]).argmax()][::2]) + 2e-4
+    sides = [{"kind": "edge", "edge": edge, "held": held} for edge, held in (("left", "x"), ("bottom", "y"))]
+    sides.append({"kind": "edge", "edge": "right", "held": "x", "move": [1000.0 * (width - 1.0), 0.0]})
+    sides.append({"kind": "edge", "edge": "top", "held": "y", "move": [0.0, 1000.0 * (height - 1.0)]})
+    reach = supports_reach(posed(tables(sides), law))
+    filled = np.sqrt((1.0 + 2.0 * law.support(S)[0]) / (share * width**2 + (1.0 - share) * height**2))
+    assert reach.lower < filled + 1e-9 < 1.0
+    assert reach.is_out
+
+
 def test_a_single_point_can_be_held_anywhere():
     problem = posed(tables({"kind": "point", "at": [500.0, 1000.0], "move": [0.0, 4000.0]}))
     slackless = problem.fem.unknowns(2.0 * problem.disc.nodes)
