@@ -161,10 +161,8 @@ def fixed_points(con: Touching, pairs: Index) -> FixedPoints:
     """Points around the soft minima of these pairs, where they have some."""
     minima, soft = con.minima, (con.minima.curvature < SOFT) & ~con.fixed
     parts = list[FixedPoints]()
-    for pair in pairs:
+    for pair in np.intersect1d(pairs, minima.pair[soft]):
         rows = np.flatnonzero(soft & (minima.pair == pair))
-        if not len(rows):
-            continue
         first, tau = minima.rho_a[rows[0]], cross(con.placed.normal[con.a[pair]], minima.rho_a[rows[0]])
         angle = np.arctan2(minima.rho_a[rows] @ tau, minima.rho_a[rows] @ first)
         outer, half = (_softness(minima.take(rows), con.wire, times)[1] for times in (_OUTER, _INNER))
@@ -290,16 +288,13 @@ def of_pairs(keys: Index, asked: Index) -> Index:
 
 
 def handed_on(old: Touching, force: Array, new: Touching, mu: Array) -> Array:
-    """Forces (m,) for new contacts: a pair's contacts keep theirs where their number stays; where it does not, the
-    pair's total is shared out as on the central path; pairs that are new take its forces."""
-    row, pair = of_pairs(old.key, new.key), new.minima.pair
-    total = np.where(row >= 0, np.bincount(old.minima.pair, force, minlength=len(old.key))[row], 0.0)
-    out = new.shared(total, mu)
-    same = (row >= 0) & (old.count[row] == new.count)
-    mine = np.flatnonzero(same[pair])
-    heir = nearest(new, old)[mine]
-    used = np.bincount(heir, minlength=len(force))
-    once = np.bincount(pair[mine], used[heir] == 1, minlength=len(new.key)) == new.count
-    good = once[pair[mine]]
-    out[mine[good]] = force[heir[good]]
-    return out
+    """Forces (m,) for new contacts: those of a pair that are nearest to an old one share its force out as on the
+    central path; where none is, the nearest one takes it. Pairs that are new, or had no force, take those of the path.
+    """
+    fresh, parent, heir = new.central(mu), nearest(new, old), nearest(old, new)
+    rows, out = np.flatnonzero(parent >= 0), np.zeros(len(new.gap))
+    whole = np.bincount(parent[rows], fresh[rows], minlength=len(force))
+    out[rows] = force[parent[rows]] * fresh[rows] / whole[parent[rows]]
+    lone = np.flatnonzero((whole == 0.0) & (heir >= 0))
+    np.add.at(out, heir[lone], force[lone])
+    return np.where(out > 0.0, out, fresh)
