@@ -87,6 +87,7 @@ class Support(Timed):
 
     kinds: ClassVar[dict[str, type[Any]]] = {}
     table = "support"
+    edge_needed: ClassVar[str | None] = "top"
     one: ClassVar[str] = "point"
     """What results call one of the points that it holds."""
     release: Time | None = field(default=None, repr=False)

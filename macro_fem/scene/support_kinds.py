@@ -146,6 +146,7 @@ class Edge(Support, kind="edge"):
 class Point(Support, kind="point"):
     """The material point `at` held and moved by `move` mm; `rings_per_hook` as for hooks."""
 
+    edge_needed = None
     at: tables.Place
     held: tables.HeldAxes = "both"
     move: Way = NO_MOVE

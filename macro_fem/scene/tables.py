@@ -82,6 +82,8 @@ class Item(Entry):
 
     table: ClassVar[str]
     """The list of a scene file that holds such entries."""
+    edge_needed: ClassVar[str | None] = None
+    """The named edge of the curtain that it needs, if it has no `edge` of its own."""
 
     @property
     def where(self) -> str:

@@ -20,9 +20,8 @@ from macro_fem.scene.meshing.mesh_files import read_mesh
 from macro_fem.scene.meshing.nodes import with_nodes_at
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
-from macro_fem.scene.sites import Hanging, Support
-from macro_fem.scene.support_kinds import Edge, Point
-from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Vector
+from macro_fem.scene.sites import Hanging
+from macro_fem.scene.tables import PatchLoad, Vector
 from rve.common import Array, InputError
 
 MAX_TRIANGLES = 4_000_000
@@ -87,17 +86,16 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     """
     mesh = _plain_mesh(scene, cell)
     for item in scene.items:
-        needs, name = ("edge", item.edge) if isinstance(item, Edge | EdgeLoad | Bar) else ("needs edge", "top")
-        if name not in mesh.edges and isinstance(item, Support | EdgeLoad | Bar) and not isinstance(item, Point):
+        edge = getattr(item, "edge", item.edge_needed)
+        if edge is not None and edge not in mesh.edges:
             known = ", ".join(sorted(mesh.edges))
-            scene.refuse(f"{item.where} {needs} = {name!r}: the curtain has no such edge, only {known}")
+            scene.refuse(f"{item.where} needs edge = {edge!r}: the curtain has no such edge, only {known}")
     hooked = [(n, item) for n, item in enumerate(scene.support) if isinstance(item, Hanging) and item.has_hooks]
     top = paths(mesh.mesh.facets[:, mesh.edges["top"]].T, mesh.mesh.p.T) if hooked else []
     rows = {number: item.hook_places(top, f"{scene.source}: {item.where}") for number, item in hooked}
     wanted: list[tuple[str, Vector]]
     wanted = [(f"[support] hook at [{x:g}, {y:g}]", (x, y)) for places, _ in rows.values() for x, y in places.tolist()]
-    points: list[Point | PointLoad | PatchLoad]
-    points = [item for item in scene.items if isinstance(item, Point | PointLoad)]
+    points: list[Any] = [item for item in scene.items if hasattr(item, "at") and not isinstance(item, PatchLoad)]
     points += [patch for patch in scene.of(PatchLoad) if patch.radius < mesh.longest_side]
     wanted += [(f"{one.where} at = {list(one.at)}", one.at) for one in points]
     if not wanted:
