@@ -85,7 +85,7 @@ def rigid_height(problem: CurtainProblem) -> tuple[bool, float]:
     """Whether the rigid curtain converges, and its mean height."""
     area = load_vector(problem.disc, np.array([1.0]))[:, 0]
     found = rigid(problem)
-    return found.converged, float(area @ problem.fem.positions(found.z)[:, 1] / area.sum())
+    return found.status == "converged", float(area @ problem.fem.positions(found.z)[:, 1] / area.sum())
 
 
 def third_coordinate(law: MembraneLaw, hung: str, cells: int, load: dict[str, Any] | None = None) -> Row:
@@ -118,7 +118,7 @@ def by_option(law: MembraneLaw, feature: str, cells: int, without: PathOptions, 
 
     def potential(options: PathOptions) -> tuple[bool, float]:
         found = rigid(problem, options)
-        return found.converged, found.primal / scale
+        return found.status == "converged", found.primal / scale
 
     calls = partial(potential, without), partial(potential, with_it)
     default = USED if with_it == PathOptions() else LEFT_OUT
