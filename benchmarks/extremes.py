@@ -13,8 +13,10 @@ from homogenize import default_law
 from homogenize.laws.net import ring_net
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import MembraneLaw
+from macro_fem.curtain import solve_problem
 from macro_fem.fem.hung_law import HungLaw
-from macro_fem.job import solve_membrane
+from macro_fem.problem import make_problem
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import read_scene
 from rve.common.errors import InputError
 from rve.directions import product
@@ -154,7 +156,8 @@ def curtain_row(name: str, tables: dict[str, Any], law: MembraneLaw, kind: str) 
     whole = square(12, {"kind": "corners", "gather": 0.9}, 100.0, solver={"kind": kind}) | tables
     row: Row = {"curtain": name, "solver": kind}
     try:
-        found = solve_membrane(read_scene(whole), law).solution
+        scene = read_scene(whole)
+        found = solve_problem(make_problem(scene, law, build_mesh(scene, law.cell)))  # of sides below a ring's, too
     except InputError as error:
         return row | {STATUS: str(error)}
     if found.status != "converged":
