@@ -15,7 +15,7 @@ from rve.finite.equations import METRIC, blocks, gradients, lacking, rows_of, sp
 from rve.finite.newton import Iteration, forces_that_stop
 from rve.finite.passage import is_passage_safe, ways
 from rve.finite.task import State, Task
-from rve.finite.touching import Placed, find_touching, fixed_points, followed_gaps, links_intact
+from rve.finite.touching import Placed, find_touching, fixed_points, followed_gaps, handed_on, links_intact
 from rve.finite.walls import wall_derivatives, wall_gaps
 from rve.geometry.ring_pair import tangent_frame
 from rve.geometry.weave import WEAVES
@@ -538,6 +538,9 @@ def test_soft_minima_across_a_ring_have_fixed_points_around_each_and_other_minim
     for rho, gap in zip(con.minima.rho_a, con.gap, strict=True):
         beside = np.linalg.norm(both.minima.rho_a - rho, axis=1) < points.way.max()
         assert gap <= both.gap[beside].min() < 1.1 * gap
+    force = handed_on(con, np.array([1.0, 2.0]), both, np.array(1e-9))
+    for rho, own in zip(con.minima.rho_a, (1.0, 2.0), strict=True):
+        assert force[both.minima.rho_a @ rho > 0.0].sum() == pytest.approx(own)
     one = find_touching(placed, none, wire, 0.1, beside=False, points=points.take(points.rho[:, 1] > 0.0))
     assert (~one.fixed).sum() == 1
     assert one.gap[~one.fixed] == pytest.approx(con.gap[con.minima.rho_a[:, 1] < 0.0])
