@@ -27,7 +27,11 @@ def cauchy_line_load(alpha_deg: ArrayLike, beta_deg: ArrayLike) -> Array:
 def load_angles(s: Array) -> tuple[Array, Array, Array]:
     """Angles alpha, beta in degrees and size (n,) of line loads s (n, 3); compressive components are set to zero.
 
-    beta lies between 0 and 45 degrees: the first principal load is the larger one.
+    beta lies between 0 and 45 degrees: the first principal load is the larger one. The size has the unit of the loads.
+
+    >>> alpha, beta, size = load_angles(2.0 * cauchy_line_load([30.0, -45.0], [20.0, 0.0]))
+    >>> alpha.round(9).tolist(), beta.round(9).tolist(), size.round(9).tolist()
+    ([30.0, -45.0], [20.0, 0.0], [2.0, 2.0])
     """
     s2, s1 = (np.maximum(value, 0.0) for value in eigenvalues(s))
     alpha = 0.5 * np.degrees(np.arctan2(s[:, 1], 0.5 * (s[:, 0] - s[:, 2])))
