@@ -141,7 +141,7 @@ def utilisation_row(name: str) -> Row:
         **{"side of its cells, mm": cells, "status": ", ".join(sorted({one.status for one in (own, *finest)}))},
         "its own mesh": float(known["utilisation_of_averages_max"]),
         "its own mesh, force at a point": known["utilisation_of_point_forces_max"] or None,
-        "its own mesh, told too coarse": known["utilisation_mesh_too_coarse"],
+        "its own mesh, told too coarse": bool(known["utilisation_too_low"]),
         **{f"{side:g} mm": value for side, value in zip(SIDES, used, strict=True)},
         "order": log2(abs(first / last)) if first * last > 0.0 else None,
         **{"last change": last / used[-1], "safety factor": 1.0 / used[-1], "near": values[-1]["first_yield_near"]},

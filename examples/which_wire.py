@@ -41,7 +41,7 @@ VERMILION, BLUE = "#D55E00", "#0072B2"
 @dataclass(frozen=True)
 class Wire:
     """A wire of `diameter_mm`: mass of the curtain in kg, and how many times its load rings bear until first yield and
-    collapse; None where the curtain was not solved, with its status. mesh_too_coarse: the factors fall with refinement
+    collapse; None where the curtain was not solved, with its status. too_low: why the factors may be lower
     of the mesh."""
 
     diameter_mm: float
@@ -49,7 +49,7 @@ class Wire:
     safety_factor: float | None
     collapse_factor: float | None
     status: str
-    mesh_too_coarse: bool | None = None
+    too_low: str | None = None
 
 
 def tried(scene: Scene, r1: float, diameter: float, material: Material, spacing: float = SPACING) -> Wire:
@@ -65,7 +65,7 @@ def tried(scene: Scene, r1: float, diameter: float, material: Material, spacing:
     if found.status not in ("converged", "taut"):
         return Wire(diameter, None, None, None, found.status)
     factors = (told["safety_factor"], told["collapse_factor"])
-    return Wire(diameter, told["mass_kg"], *factors, found.status, told["utilisation_mesh_too_coarse"])
+    return Wire(diameter, told["mass_kg"], *factors, found.status, told["utilisation_too_low"])
 
 
 def least_diameter(wires: list[Wire], factor: float) -> float | None:
@@ -173,8 +173,8 @@ def main(
     least = answer["least_diameter_mm"]
     found = "none of these wires is just enough" if least is None else f"from {least:.2f} mm on"
     click.echo(f"factor {factor:g}: {found}; see {out}/wires.png")
-    if any(wire["mesh_too_coarse"] for wire in answer["wires"]):
-        click.echo("the mesh is too coarse where rings yield first; factors fall with refinement: give more --cells")
+    for why in {wire["too_low"]: None for wire in answer["wires"] if wire["too_low"]}:
+        click.echo(f"factors are at most these: {why}")
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, Delaunay, QhullError
 
-from rve.common import Array, InputError
+from rve.common import Array, Flags, InputError
 from rve.common.tensor import IDENTITY, disc, eigenvalues, mirror, trace
 
 SAME = 1e-9
@@ -17,6 +17,10 @@ FLAT = 1e-12
 """Twice the area in the disc below which a triangle holds no load."""
 FOLDS = 5
 """Parts in which loads are left out, to learn how wrong what is known between the others is there."""
+RIM_STEP_DEG = 45.0
+"""Loads of rank one whose Cauchy loads are farther apart in the disc (half of it in space) have none between them."""
+BEYOND = 1e-3
+"""Share by which a load may lie beyond the hull and still count as one in it."""
 CHUNK = 500
 """Loads looked up together: 15 MB for the triangles of 190 rows."""
 
@@ -26,7 +30,8 @@ class Directions:
     """Load directions as points of the disc, and the triangles between them; with their mirror images if `is_mirrored`.
 
     slope (2, 3, t), level (3, t): the weights of each triangle's corners at a point x are x slope + level; rows (t, 3):
-    the loads at its corners; hull (k, 3): the half-planes around all. Neighbours are neighbours as Cauchy loads, which
+    the loads at its corners; hull (k, 3): the half-planes around all, `is_arc` (k,) whether the part of the rim beyond
+    lies between neighbours and so belongs to the table as well. Neighbours are neighbours as Cauchy loads, which
     lie on a grid, while S crowds where the cell locks far from its reference.
     """
 
@@ -34,6 +39,7 @@ class Directions:
     level: Array
     rows: NDArray[np.intp]
     hull: Array
+    is_arc: Flags
     is_mirrored: bool
 
     @staticmethod
@@ -46,11 +52,15 @@ class Directions:
         first = each_once(x)
         x, s = x[first], s[first]
         try:
-            triangles, hull = Delaunay(disc(s / trace(s)[:, None])).simplices, ConvexHull(x).equations
+            s = disc(s / trace(s)[:, None])
+            triangles, around = Delaunay(s).simplices, ConvexHull(x)
         except (QhullError, ValueError) as error:
             raise InputError("strengths need loads that differ in angle and ratio; these lie on one line") from error
-        if hull[:, 2].max() >= 0.0:
+        if around.equations[:, 2].max() >= 0.0:
             raise InputError("strengths need loads on all sides of the equibiaxial one")
+        start, end = np.swapaxes(around.simplices, 0, 1)
+        on_rim = (np.linalg.norm(x[start], axis=1) > 1.0 - 1e-6) & (np.linalg.norm(x[end], axis=1) > 1.0 - 1e-6)
+        is_arc = on_rim & ((s[start] * s[end]).sum(axis=1) > np.cos(np.radians(RIM_STEP_DEG)))
         sides = np.swapaxes(x[triangles[:, :2]] - x[triangles[:, 2:]], 1, 2)
         good = np.abs(np.linalg.det(sides)) > FLAT
         triangles = triangles[good]
@@ -58,7 +68,7 @@ class Directions:
         slope = np.concatenate([two, -two.sum(axis=1, keepdims=True)], axis=1)
         level = np.array([0.0, 0.0, 1.0]) - np.einsum("tij,tj->ti", slope, x[triangles[:, 2]])
         rows = first[triangles] % len(S)
-        return Directions(slope.transpose(2, 1, 0).copy(), level.T.copy(), rows, hull, is_mirrored)
+        return Directions(slope.transpose(2, 1, 0).copy(), level.T.copy(), rows, around.equations, is_arc, is_mirrored)
 
     def at(self, S: Array) -> tuple[NDArray[np.intp], Array]:
         """LockedRows (m, 3) around each load S (m, 3) of unit trace, and their weights (m, 3), which sum to 1.
@@ -70,8 +80,7 @@ class Directions:
         x = disc(S)
         if self.is_mirrored:
             x[:, 1] = np.abs(x[:, 1])
-        beyond = np.maximum((x @ self.hull[:, :2].T / -self.hull[:, 2]).max(axis=1), 1.0)
-        x = x / beyond[:, None]
+        x = x / np.maximum(self._reach(x).max(axis=1), 1.0)[:, None]
         rows, weights = np.empty((len(x), 3), dtype=np.intp), np.empty((len(x), 3))
         for start in range(0, len(x), CHUNK):
             part = slice(start, start + CHUNK)
@@ -80,6 +89,14 @@ class Directions:
             inside = np.maximum(np.take_along_axis(three, best[:, None, None], axis=2)[..., 0], 0.0)
             rows[part], weights[part] = self.rows[best], inside / inside.sum(axis=1, keepdims=True)
         return rows, weights
+
+    def extrapolates(self, S: Array) -> Flags:
+        """Whether there are no loads around those of S (m, 3), of unit trace, (m,)."""
+        return np.asarray(self._reach(disc(S))[:, ~self.is_arc].max(axis=1, initial=0.0) > 1.0 + BEYOND)
+
+    def _reach(self, x: Array) -> Array:
+        """How far points x (m, 2) of the disc lie towards each half-plane of the hull, (m, k), which is at 1."""
+        return np.asarray(x @ self.hull[:, :2].T / -self.hull[:, 2])
 
 
 def each_once(x: Array, is_mirrored: bool = False) -> NDArray[np.intp]:

@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from homogenize.directions import Directions, folds_of, tensile_part
 from rve import cauchy_line_load
-from rve.common import Array, InputError, Rows, Typed, as_html, read_entry, read_typed
+from rve.common import Array, Flags, InputError, Rows, Typed, as_html, read_entry, read_typed
 from rve.common.materials import Material, Stress
 from rve.common.rings import Joint
 from rve.common.tensor import IDENTITY, WEIGHT, eigenvalues, trace
@@ -111,6 +111,10 @@ class Strength(Rows):
         rows, weights = self.stretched._loads.at(S / trace(S)[:, None])
         return np.asarray((weights * np.sqrt(self.stretched.compliance[rows])).sum(axis=1) ** 2)
 
+    def extrapolates(self, S: Array) -> Flags:
+        """Whether the table has no loads around line loads S (n, 3), (n,): their strength is that of the nearest."""
+        return self._loads.extrapolates(_size_and_direction(S)[1])
+
     def yield_stress(self, asked: float | None = None) -> float:
         """The yield stress in N/mm2: what is asked for, or the material's; InputError if there is none."""
         value = self.material.yield_N_per_mm2 if asked is None else asked
@@ -120,10 +124,7 @@ class Strength(Rows):
 
     def _needed_yield(self, S: Array, values: Array) -> Array:
         """The yield stress (n,) in N/mm2 that loads S (n, 3) ask for."""
-        S = tensile_part(S)
-        size = trace(S)
-        some = size > 0.0
-        unit = np.where(some[:, None], S / np.where(some, size, 1.0)[:, None], 0.5 * IDENTITY)
+        size, unit = _size_and_direction(S)
         rows, weights = self._loads.at(unit)
         return np.asarray(size * (weights * values[rows]).sum(axis=1))
 
@@ -162,6 +163,14 @@ class Strength(Rows):
             "compliance_mm_per_N": [None if np.isnan(x) else float(x) for x in self.compliance],
             "error": None if self.error is None else asdict(self.error),
         }
+
+
+def _size_and_direction(S: Array) -> tuple[Array, Array]:
+    """The trace (n,) of the tensile parts of loads S (n, 3), and these at unit trace (n, 3), equibiaxial if zero."""
+    S = tensile_part(S)
+    size = trace(S)
+    some = size > 0.0
+    return size, np.where(some[:, None], S / np.where(some, size, 1.0)[:, None], 0.5 * IDENTITY)
 
 
 def strength_of_table(table: StrainTable) -> Strength | None:

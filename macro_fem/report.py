@@ -107,7 +107,7 @@ def _sections(summary: dict[str, Any], inputs: Iterable[Path]) -> Iterable[tuple
     stress = summary["ring_yield_N_per_mm2"]
     told = "not known" if stress is None else f"{stress:g} N/mm2"
     material = f"material of the rings: {summary['ring_material'] or 'not known'}, yield stress {told}"
-    coarse = "at most " if summary["utilisation_mesh_too_coarse"] else ""
+    coarse = "at most " if summary["utilisation_too_low"] else ""
     given = ((one.name, coarse if one.name == "mesh" else "", digits(one.factor)) for one in links(summary))
     factors = [f"{name}: {most}{factor} times the load" for name, most, factor in given]
     of = " without partial factors" if "combinations" in summary else ""

@@ -10,7 +10,6 @@ import numpy as np
 from homogenize import LawInterval, MembraneLaw, fit
 from macro_fem.demand.options import OnDemand
 from macro_fem.job import solve
-from macro_fem.output.weakest import TOO_COARSE
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import Rectangle
@@ -39,20 +38,20 @@ RINGS_NOT_JUDGED = (
 @dataclass(frozen=True)
 class Row:
     """One value that was tried, and how the solver ended; `factor` is the least of all links, rings and hooks,
-    `safety_factor` that of the rings alone, too large where the mesh is too coarse for it."""
+    `safety_factor` that of the rings alone, too large where `utilisation_too_low` says why."""
 
     value: float
     factor: float | None
     safety_factor: float | None
     weakest: str | None
     status: str
-    utilisation_mesh_too_coarse: bool | None = None
+    utilisation_too_low: str | None = None
 
 
 @dataclass(frozen=True)
 class Size:
     """The largest `value` of what is varied, of r2 the least, where the factor is at least the one asked for; `curve`:
-    all values that were tried, in order; `note`: why rings are not judged, or only on a mesh that is too coarse, or why
+    all values that were tried, in order; `note`: why rings are not judged, or judged too well, or why
     the next value has no answer."""
 
     vary: str
@@ -119,12 +118,8 @@ def largest_that_holds(
     assert found.factor is not None
     tried = sorted(rows, reverse=vary == "r2")
     beyond = [rows[value] for value in tried[tried.index(best) + 1 :]]
-    note = None
-    if found.safety_factor is None:
-        note = RINGS_NOT_JUDGED
-    elif found.utilisation_mesh_too_coarse:
-        note = TOO_COARSE
-    elif beyond and beyond[0].factor is None:
+    note = RINGS_NOT_JUDGED if found.safety_factor is None else found.utilisation_too_low
+    if not note and beyond and beyond[0].factor is None:
         note = f"{vary} = {beyond[0].value:g} has no answer: {beyond[0].status}"
     curve = tuple(rows[value] for value in sorted(rows))
     return Size(vary, best, found.safety_factor, found.factor, found.weakest, factor, curve, note)
@@ -192,7 +187,7 @@ def _row(scene: Scene, who: Any, vary: str, value: float) -> Row:
         return Row(value, None, None, None, str(told["message"]))
     worst = told.get("envelope", told)
     factors = worst["weakest_factor"], worst["safety_factor"]
-    return Row(value, *factors, worst["weakest"], "converged", worst["utilisation_mesh_too_coarse"])
+    return Row(value, *factors, worst["weakest"], "converged", worst["utilisation_too_low"])
 
 
 def _changed(scene: Scene, vary: str, value: float) -> Scene:

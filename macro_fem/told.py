@@ -133,14 +133,14 @@ def _factor(row: Mapping[str, Any]) -> str:
     """The factor of a combination, as far as it is known, and what gives first."""
     if row["weakest_factor"] is None:
         return ""
-    most = "of at most " if row["utilisation_mesh_too_coarse"] else ""
+    most = "of at most " if row["utilisation_too_low"] else ""
     return f", factor {most}{digits(row['weakest_factor'])} ({row['weakest']})"
 
 
 def governing_line(summary: Mapping[str, Any]) -> str:
     """The combination that governs, and whether the curtain holds under it, as far as that is known.
 
-    >>> most = {"governing": "ultimate", "weakest_factor": 1.9, "weakest": "mesh", "utilisation_mesh_too_coarse": True}
+    >>> most = {"governing": "ultimate", "weakest_factor": 1.9, "weakest": "mesh", "utilisation_too_low": "..."}
     >>> governing_line({"envelope": most, "combinations": []})
     'governing combination: ultimate, holds, factor of at most 1.9 (mesh)'
     """

@@ -88,7 +88,7 @@ def strength_answer(path: str | Path, S: Array, yield_N_per_mm2: float | None = 
         "error_between_rows": None if strength.error is None else asdict(strength.error),
         "material": strength.material.name,
         "joint": strength.joint,
-        "extrapolated": extrapolates(law, S),
+        "extrapolated": bool(strength.extrapolates(unit)[0]),
     }
 
 

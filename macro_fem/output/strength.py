@@ -42,15 +42,22 @@ UNLOADED = 1e-9
 KEYS = (
     *("utilisation_max", "utilisation_max_at_mm", "utilisation_pointwise_max", "utilisation_of_averages_max"),
     *("utilisation_of_point_forces_max", "utilisation_of_hook_rings_max", "ring_at_hook"),
-    "utilisation_mesh_too_coarse",
+    "utilisation_too_low",
     *("safety_factor", "collapse_factor", "first_yield_near"),
 )
 """Keys of summary.json that are null where the strength is not known."""
+TOO_COARSE = "the mesh is too coarse where rings yield first: their factor falls with refinement"
+EXTRAPOLATED = (
+    "the table behind the law has no loads around those of {} of {} triangles, which are judged by the nearest it has: "
+    "make the table of more directions"
+)
+LOADED = 0.25
+"""Share of the largest utilisation up to which a wrong one may govern: one off the table was 0.31 of the true."""
 MEANING = (
     "utilisation_max is that of the line load averaged over one cell of the weave, or of the force at a held or loaded "
     "point over the width of that average where the mesh is too coarse there, or of the ring that takes that force; "
     "utilisation_pointwise_max grows with every refinement of the mesh at held and loaded points; "
-    "utilisation_mesh_too_coarse says when the mesh is too coarse for both; solved ring by ring, rings next to hooks "
+    "utilisation_too_low says why it may be larger; solved ring by ring, rings next to hooks "
     "bear 0.9 to 1.5 times these values, 1.1 on average: allow for 1.5"
 )
 
@@ -75,23 +82,26 @@ def _numbers(solution: CurtainSolution, known: Strength, cell: CellInfo) -> dict
     """The values of `KEYS` where the strength is known, by what first yield and collapse ask of mesh and rings."""
     first, last = _largest_asked(solution, known, cell)
     mean, points, hook = first
-    pointwise = float(known.utilisation(solution.problem.law.in_weave(solution.recovered(solution.S))).max())
+    S = solution.problem.law.in_weave(solution.recovered(solution.S))
+    pointwise = known.utilisation(S)
     most, collapse = (max(each, key=lambda one: one.value) for each in (first, last))
     mesh, area = solution.problem.mesh.mesh, solution.problem.disc.cell_area
     touching = np.abs(mesh.p[:, mesh.t] - mean.at[:, None, None]).max(axis=0) < 1e-9 * solution.problem.mesh.size
     side = np.sqrt(area[touching.any(axis=0)].max() / (cell.b_x_mm * cell.b_y_mm))
-    is_coarse = side > FINE and pointwise > EVEN * mean.value and points.value <= mean.value
+    is_coarse = side > FINE and pointwise.max() > EVEN * mean.value and points.value <= mean.value
+    off = int(known.extrapolates(S[pointwise > max(LOADED * most.value, UNLOADED)]).sum())
+    too_low = [TOO_COARSE] * bool(is_coarse) + [EXTRAPOLATED.format(off, len(S))] * bool(off)
     near = nearest(solution, most.at) if most.force is None else most.force.name
     is_loaded = most.value > UNLOADED
     return {
         "utilisation_max": most.value,
         "utilisation_max_at_mm": most.at.tolist(),
-        "utilisation_pointwise_max": pointwise,
+        "utilisation_pointwise_max": float(pointwise.max()),
         "utilisation_of_averages_max": mean.value,
         "utilisation_of_point_forces_max": points.value,
         "utilisation_of_hook_rings_max": hook.value,
         "ring_at_hook": f"ring at {hook.force.place}" if hook.force else None,
-        "utilisation_mesh_too_coarse": bool(is_coarse),
+        "utilisation_too_low": "; ".join(too_low) or None,
         "safety_factor": 1.0 / most.value if is_loaded else None,
         "collapse_factor": 1.0 / collapse.value if is_loaded else None,
         "first_yield_near": near if is_loaded else None,

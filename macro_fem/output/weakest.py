@@ -17,8 +17,7 @@ OF_FORCE = (
     "the force at this point over the width of one cell"
 )
 """What is said of a factor that follows from the force at a point."""
-TOO_COARSE = "the mesh is too coarse where rings yield first: their factor falls with refinement"
-JUDGED = ("safety_factor", "weakest", "weakest_factor", "utilisation_mesh_too_coarse")
+JUDGED = ("safety_factor", "weakest", "weakest_factor", "utilisation_too_low")
 """Keys of a summary that combinations of loads are judged by."""
 UTILISATIONS = tuple(f"utilisation_of_{what}_max" for what in ("averages", "point_forces", "hook_rings"))
 """Keys of what is asked of the mesh, by averages and by forces at points, and of the rings at hooks."""
@@ -61,29 +60,29 @@ def holds_line(summary: dict[str, Any]) -> str:
     >>> hooks = {"support": "hooks", "capacity_N": 50.0, "largest_nodal_force_N": 10.0}
     >>> known = {"utilisation_of_averages_max": 0.2, "utilisation_of_point_forces_max": 0.0, "strength_note": None}
     >>> ring = {"utilisation_of_hook_rings_max": 0.4, "ring_at_hook": "ring at hook 3"}
-    >>> of = {"ring_material": "steel", "ring_yield_N_per_mm2": 235.0, "utilisation_mesh_too_coarse": False}
+    >>> of = {"ring_material": "steel", "ring_yield_N_per_mm2": 235.0, "utilisation_too_low": None}
     >>> print(holds_line({"support_forces": [hooks], **known, **ring, **of}).replace("; ", ";\\n"))
     holds with a factor 2.5;
     the ring at hook 3 would yield first (steel, 235 N/mm2);
     hooks of support 1 bear up to 10 N of 50 N;
     the mesh yields at 5 times the load
     """
-    found, is_coarse = links(summary), summary["utilisation_mesh_too_coarse"]
+    found, too_low = links(summary), summary["utilisation_too_low"]
     least = found[0].factor if found else float("inf")
     if least < 1.0:
         parts = [f"does not hold, factor {digits(least)}"]
     elif summary["strength_note"] is not None and summary["utilisation_of_averages_max"] is None:
         parts = [f"strength of the rings not known: {summary['strength_note']}"]
     else:
-        parts = [f"holds with a factor {'of at most ' if is_coarse else ''}{digits(least)}" if found else "no load"]
+        parts = [f"holds with a factor {'of at most ' if too_low else ''}{digits(least)}" if found else "no load"]
     for number, link in enumerate(found):
         material = f"({summary['ring_material']}, {summary['ring_yield_N_per_mm2'] or 0.0:g} N/mm2)"
         verb = "yields" if link.text.startswith("the ") else "yield"
         of_rings = f"would yield first {material}" if not number else f"{verb} at {digits(link.factor)} times the load"
         parts.append(link.text if "capacity" in link.name else f"{link.text} {of_rings}")
     averages, points, _ = (summary[key] or 0.0 for key in UTILISATIONS)
-    if is_coarse:
-        parts.append(TOO_COARSE)
+    if too_low:
+        parts.append(too_low)
     elif found and points > averages:
         parts.append(OF_FORCE)
     return "; ".join(parts)

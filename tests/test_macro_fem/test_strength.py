@@ -9,8 +9,8 @@ import pytest
 from homogenize import default_law, fit, ring_net, with_material
 from macro_fem.job import solve
 from macro_fem.output.files import curtain_mesh, summarize
-from macro_fem.output.strength import critical_load, summary, utilisation
-from macro_fem.output.weakest import TOO_COARSE, holds_line
+from macro_fem.output.strength import EXTRAPOLATED, TOO_COARSE, critical_load, summary, utilisation
+from macro_fem.output.weakest import holds_line
 from macro_fem.scene.scene import read_scene
 from macro_fem.size import largest_that_holds
 from macro_fem.told import combination_lines
@@ -70,7 +70,19 @@ def test_a_strip_yields_at_the_line_load_of_its_table_row(weave, beta):
     assert told["safety_factor"] == pytest.approx(1.0 / told["utilisation_max"], rel=1e-12)
     assert told["utilisation_pointwise_max"] == pytest.approx(told["utilisation_max"], rel=1e-5)
     assert told["first_yield_near"] in ("support 1 (rail)", "load.bar 1 (bottom)")
-    assert told["utilisation_mesh_too_coarse"] is False  # an even load is its own average on any mesh
+    assert told["utilisation_too_low"] is None  # an even load is its own average on any mesh
+
+
+@pytest.mark.parametrize("least", [0.3, 0.0])
+def test_rings_judged_by_loads_unlike_theirs_are_told(least):
+    """The strip is pulled along y; of two tables one has no load so uneven, one none along it."""
+    law = default_law()
+    s11, _, s22 = law.strength.S.T
+    kept = np.minimum(s11, s22) > least if least else s11 > 0.3
+    solution = hung(replace(law, strength=law.strength.take(kept)))
+    told = summarize(solution)
+    assert told["utilisation_too_low"] == EXTRAPOLATED.format(len(solution.S), len(solution.S))
+    assert "factor of at most" in holds_line(told)
 
 
 MESH_ALONE = {"kind": "corners", "rings_per_hook": 1000}
@@ -100,7 +112,7 @@ def test_a_coarse_mesh_tells_the_utilisation_of_a_fine_one_from_the_force_at_the
     assert low["utilisation_max"] == low["utilisation_of_point_forces_max"]
     assert low["utilisation_max"] == pytest.approx(high["utilisation_max"], rel=0.2)
     assert low["utilisation_max_at_mm"] in ([0.0, 60.0], [60.0, 60.0])
-    assert [one["utilisation_mesh_too_coarse"] for one in (low, high)] == [False, False]
+    assert [one["utilisation_too_low"] for one in (low, high)] == [None, None]
     S = critical_load(coarse)
     assert default_law().strength.utilisation(S[None])[0] == pytest.approx(low["utilisation_max"], rel=1e-9)
     told = {"support_forces": [], "strength_note": None}
@@ -126,7 +138,7 @@ def test_a_mesh_too_coarse_at_an_end_of_a_held_edge_is_told():
     tables = sheet(300.0, 300.0, 4, {"kind": "top"}, load={"bar": {"mass": 0.5}}, weave_angle=30.0)
     scene = read_scene(tables | {"combination": {"name": "more", "bar": 1.5}})
     told = solve(scene).summary
-    assert (told["utilisation_of_point_forces_max"], told["utilisation_mesh_too_coarse"]) == (0.0, True)
+    assert (told["utilisation_of_point_forces_max"], told["utilisation_too_low"]) == (0.0, TOO_COARSE)
     assert holds_line(told).endswith(TOO_COARSE)
     assert all("factor of at most " in line for line in (holds_line(told), *combination_lines(told)))
     assert largest_that_holds(replace(scene, combination=()), None, "mass", (0.4, 0.5), 9.0).note == TOO_COARSE
