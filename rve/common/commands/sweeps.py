@@ -1,8 +1,8 @@
-"""One command run for many inputs: side by side on this machine, or on the workers of a Dask scheduler.
+"""One command run for many inputs, in processes side by side.
 
 Each item is a command as a user would type it, with a record that it writes. A finished item is kept in a cache with
 the checksums of all files that it has read and written; the same sweep started again runs only the others. Items do not
-depend on each other, so that files are the same to the bit for any number of workers, and after one was killed.
+depend on each other, so that files are the same to the bit for any number of processes, and after one was killed.
 """
 
 import io
@@ -10,9 +10,9 @@ import os
 import signal
 import threading
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
-from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from importlib import import_module
 from multiprocessing import active_children, get_context, parent_process
@@ -22,17 +22,14 @@ from typing import Any
 import click
 
 from rve.common.commands.command_line import answer, ending, options, say
-from rve.common.errors import InputError, noted_if_stopped, require
+from rve.common.errors import InputError, noted_if_stopped
 from rve.common.files import Cache, checksum, versions, write_text
 from rve.common.progress import tell
 from rve.common.texts import csv_text, read_json_object, recorded_reads
 
 MARKS = ".sweep"
 """Folder of what is known of finished items, inside that of the sweep."""
-RETRIES = 3
-"""How often an item is begun again whose worker was lost."""
-CONNECT_S = 10.0
-LOST = "its worker or the scheduler was lost, perhaps for lack of memory: the same sweep, with fewer workers, goes on"
+LOST = "its process was lost, perhaps for lack of memory: the same sweep, with fewer --jobs, goes on"
 
 
 @dataclass(frozen=True)
@@ -60,105 +57,61 @@ class Ended:
 
 
 def run_item(item: SweepItem) -> Ended:
-    """Runs a command in this process; only a stop from outside is raised."""
+    """Runs a command in this process, which ends where it is stopped from outside."""
     try:
         with recorded_reads() as read, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
             main = import_module(f"{item.package}.cli").main
             code = main.main(list(item.arguments), prog_name=item.package, standalone_mode=False)
         folder, names = item.record.parent, [item.record.name, *read_json_object(item.record).get("files", {})]
         return Ended(code or 0, "", read | {str(folder / name): checksum(folder / name) for name in names})
-    except click.Abort:  # what click makes of Ctrl-C outside of a command
-        raise KeyboardInterrupt from None
     except click.ClickException as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
-            raise error.__cause__ from None
+            os._exit(1)  # whatever is raised, a worker of a pool would begin its next item
         return Ended(error.exit_code, error.format_message())
     except (InputError, OSError) as error:  # of its record, after the command
         return Ended(*ending(error))
 
 
-def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1, cluster: str | None = None) -> list[Ended]:
-    """How each item ended, in their order.
+def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1) -> list[Ended]:
+    """How each item ended, in their order; `jobs` processes run them side by side.
 
-    jobs: processes on this machine; cluster: address of a Dask scheduler, whose workers see the folder `out` under the
-    same name. InputError if nothing answers there, or two items have one name. However it ends, what is finished is
-    kept.
+    InputError if two items have one name. However it ends, what is finished is kept.
     """
     for name, count in Counter(item.name for item in items).items():
         if count > 1:
             raise InputError(f"{name}: {count} items of the sweep are called so, and each needs files of its own")
     cache, ended = Cache(out / MARKS), dict[str, Ended]()
-
-    def end(item: SweepItem, how: Ended) -> None:
-        ended[item.name] = how
-        tell(f"sweep, {len(ended)} of {len(items)} done", len(ended) / len(items))
-
     for item in items:
         if (found := cache.get(item.question)) is not None:
-            end(item, Ended(found["code"], ""))
+            ended[item.name] = Ended(found["code"], "")
     left = [item for item in items if item.name not in ended]
     kept = f"what is finished is kept in {out}, and the same command goes on from there"
-    with noted_if_stopped(kept), closing(_run(left, jobs, cluster)) as run:
-        for item, how in run:
-            if not how.message and not item.record.exists():  # written to another machine's disk
-                where = f"{item.record} is not there"
-                how = Ended(1, f"{where}; workers must see {item.record.parent} under the same name")
-            if not how.message:
-                cache.put(item.question, {"code": how.code}, how.files)
-            end(item, how)
-    return [ended[item.name] for item in items]
-
-
-def _run(items: Sequence[SweepItem], jobs: int, cluster: str | None) -> Generator[tuple[SweepItem, Ended]]:
-    """Items as they end: in this process, in others or on a cluster."""
-    if cluster is None and jobs == 1:
-        for item in items:
-            yield item, run_item(item)
-        return
-    with _processes(jobs) if cluster is None else _cluster(cluster) as workers:
-        futures = {}
-        for item in items:
-            try:
-                futures[workers.submit(run_item, item)] = item
-            except Exception as error:
-                yield item, _lost(error)
+    with noted_if_stopped(kept), _processes(min(jobs, len(left) or 1)) as workers:
+        futures = {workers.submit(run_item, item): item for item in left}
         for future in as_completed(futures):
+            item = futures[future]
             try:
                 how = future.result()
             except Exception as error:
-                how = _lost(error)
-            yield futures[future], how
-
-
-def _lost(error: Exception) -> Ended:
-    return Ended(1, f"{LOST} ({type(error).__name__}: {' '.join(str(error).split())})")
-
-
-@contextmanager
-def _cluster(address: str) -> Iterator[Executor]:
-    """Workers of a Dask scheduler; InputError if none answers."""
-    from distributed import Client
-
-    try:
-        client = Client(address, timeout=CONNECT_S)
-    except (OSError, ValueError) as error:
-        raise InputError(f"--cluster = {address}: no Dask scheduler answers there: {error}") from error
-    with client:
-        yield client.get_executor(pure=False, retries=RETRIES)
+                how = Ended(1, f"{LOST} ({type(error).__name__}: {' '.join(str(error).split())})")
+            if not how.message:
+                cache.put(item.question, {"code": how.code}, how.files)
+            ended[item.name] = how
+            tell(f"sweep, {len(ended)} of {len(items)} done", len(ended) / len(items))
+    return [ended[item.name] for item in items]
 
 
 @contextmanager
-def _processes(jobs: int) -> Iterator[Executor]:
+def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
     """Worker processes that end with the block, at once where it is left early, and when this process ends."""
-    before, is_left_early = active_children(), True
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_end_with_parent)
-    try:
-        yield pool
-        is_left_early = False
-    finally:
-        pool.shutdown(wait=not is_left_early, cancel_futures=True)
-        for child in set(active_children()) - set(before) if is_left_early else ():
-            child.terminate()
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_end_with_parent) as pool:
+        try:
+            yield pool
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in active_children():
+                child.terminate()
+            raise
 
 
 def _end_with_parent() -> None:
@@ -188,32 +141,25 @@ def further_options(words: Sequence[str], given: Sequence[str]) -> list[str]:
 
 sweep_options = options(
     click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder to fill."),
-    click.option(
-        "--jobs", type=click.IntRange(1, 1000), default=1, show_default=True, help="Processes on this machine."
-    ),
-    click.option("--cluster", metavar="ADDRESS", help="Dask scheduler to use, e.g. tcp://head:8786."),
+    click.option("--jobs", type=click.IntRange(1, 1000), default=1, show_default=True, help="Processes side by side."),
 )
 """The options of a command that runs a sweep."""
 
 
 def run_sweep(
-    items: Sequence[SweepItem], out: Path, columns: Callable[[Any], dict[str, Any]], *, jobs: int, cluster: str | None
+    items: Sequence[SweepItem], out: Path, columns: Callable[[Any], dict[str, Any]], jobs: int
 ) -> list[dict[str, Any]]:
     """Runs a sweep, writes sweep.csv, says how it ended and returns its rows; exit code 1 if an item failed.
 
     A row holds name, exit_code, what `columns` takes from the record, and message. Options that the command of an item
     has not are refused before the first one runs.
     """
-    if cluster is not None:
-        require("distributed", "cluster", "--cluster", "use --jobs")
-        if jobs != 1:
-            raise InputError("--jobs and --cluster are two ways to run a sweep: give one")
     for item in items:
         command = import_module(f"{item.package}.cli").main.commands[item.arguments[0]]
         command.make_context(f"{item.package} {item.arguments[0]}", list(item.arguments[1:]))
     rows = []
-    for item, ended in zip(items, sweep(items, out, jobs=jobs, cluster=cluster), strict=True):
-        record = read_json_object(item.record) if not ended.message and item.record.exists() else {}
+    for item, ended in zip(items, sweep(items, out, jobs=jobs), strict=True):
+        record = {} if ended.message else read_json_object(item.record)
         rows.append({"name": item.name, "exit_code": ended.code, **columns(record), "message": ended.message})
     names = list(dict.fromkeys(key for row in rows for key in row))
     write_text(out / "sweep.csv", csv_text(names, ([row.get(key, "") for key in names] for row in rows)))
