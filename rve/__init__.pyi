@@ -31,7 +31,6 @@ from .geometry.kinematics import load_angles as load_angles
 from .geometry.kinematics import second_pk as second_pk
 from .geometry.weave import WEAVES as WEAVES
 from .geometry.weave import Weave as Weave
-from .more_columns import RingOptions as RingOptions
 from .more_columns import with_rings as with_rings
 from .ring.strength import PulledRing as PulledRing
 from .ring.strength import pulled_ring as pulled_ring

@@ -126,55 +126,45 @@ def main() -> None:
 @click.option("--beta", help="Ratio angles in degrees, as --alpha.  [default: 0:90:5]")
 @click.option("--loads", type=click.Path(path_type=Path), help="CSV with alpha_deg, beta_deg instead of a grid.")
 @click.option("--graded", is_flag=True, help="403 directions, close where strains change fast, instead of a grid.")
-@_choice("--method", "direct", "stewart-trinkle", text="How locked states are found.")
 @click.option("--rings", is_flag=True, help="Add stiffness (dE/dS) and strength columns of the rings' own wire.")
 @click.option("--joint", help="With --rings: welded, butted:ANGLE (degrees from the grain) or butted:worst.")
 @explain_option
 @branch_options
 @larger_options
 @cell_options
-def table(
-    out: Path, method: str, rings: bool, joint: str | None, explain: bool, branches: Any, reference: Any, **rest: Any
-) -> None:
+def table(out: Path, rings: bool, joint: str | None, explain: bool, branches: Any, reference: Any, **rest: Any) -> None:
     """Write the strain-load table of a grid or a list of load directions."""
     from rve.equilibrium.interior_point import DirectOptions
-    from rve.more_columns import RingOptions, with_rings
-    from rve.paper.stewart_trinkle import solve_table_stewart_trinkle
+    from rve.more_columns import with_rings
     from rve.solve import solve_table
     from rve.table import check_out_table, write_table
 
     if joint is not None and not rings:
         raise InputError("--joint: belongs to --rings, which is not given")
-    closed = RingOptions(Joint.of("welded" if joint is None else joint, "--joint").name)
+    closed = Joint.of("welded" if joint is None else joint, "--joint").name
     asked = {name: rest.pop(name) for name in ("loads", "graded", "alpha", "beta")}
     mesh = asked_cell(**rest)
     directions = asked_directions(mesh.weave, **asked)
     check_out_table(out, inputs=[asked["loads"]])
-    if method == "direct":
-        found = solve_table(mesh, directions, DirectOptions(branches=branches, reference=reference))
-    elif (branches, reference) != ("largest", "side-by-side") or mesh.is_larger:
-        raise InputError("--branches, --reference, --cells and --centres belong to --method direct")
-    else:
-        found = solve_table_stewart_trinkle(mesh, directions)
+    found = solve_table(mesh, directions, DirectOptions(branches=branches, reference=reference))
     if rings:
         found = with_rings(found, mesh, closed)
     write_table(found, out)
     if explain:
         _explain(found)
-    _say_of_table(found, out, method)
+    _say_of_table(found, out)
     answer(read_json_object(sidecar_path(out)))
     if found.converged.sum() >= FIT_FROM:
         say_next("homogenize", "fit", out, "--out", out.with_name(f"{out.stem}_law.json"), why="a law from this table")
 
 
-def _say_of_table(found: Any, out: Path, method: str) -> None:
+def _say_of_table(found: Any, out: Path) -> None:
     """Rows by status, and what is particular about some."""
     free = int((~found.unique & found.converged).sum())
     several = 0 if found.branch is None else int((found.branch != "slack").sum())
     say(f"{out}: {found.converged.sum()} of {len(found)} rows converged in {found.provenance['wall_s']:.1f} s")
     if free:
-        where = "the limit from inside the tensile cone" if method == "direct" else "where the motion has ended"
-        say(f"{free} rows leave the strain free (unique = 0); their E is {where}")
+        say(f"{free} rows leave the strain free (unique = 0); their E is the limit from inside the tensile cone")
     if several:
         say(f"{several} rows have several locked states; theirs is of largest work (column branch, JSON)")
     if found.provenance["bound_note"]:

@@ -36,8 +36,6 @@ def solver_work(states: LockedStates, cell: Cell) -> dict[str, Any]:
 
 def features(provenance: dict[str, Any]) -> list[dict[str, Any]]:
     """What the run behind a table used and left out, from the table's provenance: rows of feature, used and why."""
-    if provenance["method"] != "direct":
-        return [{"feature": "motion", "used": True, "why": "the paper's scheme follows damped rings with inertia"}]
     work = provenance["work"]
     cases, symmetric, retried, limits = (work[name] for name in ("cases", "symmetric", "retried", "limits"))
     near = f"{work['least_near']} to {work['most_near']} of {work['listed']} pairs of rings are near enough to touch"

@@ -1,10 +1,10 @@
 """Stiffness and strength of the rings as columns of a solved table."""
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
-from rve.common import Array, InputError, Typed
+from rve.common import Array, InputError
 from rve.common.rings import Joint
 from rve.common.tensor import trace
 from rve.equilibrium.elastic_rings import ring_states
@@ -17,22 +17,11 @@ from rve.solve import locked_states, reference_sides
 from rve.table import StrainTable
 
 
-@dataclass(frozen=True)
-class RingOptions(Typed):
-    """Options of `with_rings`; InputError for senseless values.
+def with_rings(table: StrainTable, cell: Cell, joint: str = "welded") -> StrainTable:
+    """The table with compliance and strength of its rings, of the cell's material.
 
-    joint: "welded", "butted:ANGLE" (open at this angle in degrees around the ring from the grain) or "butted:worst"
-    (at the worst angle for each load).
-    """
-
-    joint: str = "welded"
-
-    def check(self) -> None:
-        object.__setattr__(self, "joint", Joint.of(self.joint).name)
-
-
-def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOptions()) -> StrainTable:
-    """The table with compliance and strength of its rings, by default welded ones, of the cell's material.
+    joint: "welded", "butted:ANGLE" (open at this angle in degrees around the ring from the grain) or "butted:worst" (at
+    the worst angle for each load).
 
     compliance: dE/dS in mm/N for a line load of 1 N/mm, to first order: the bend of the locking surface and what the
     rings give; at s N/mm the bend is to be divided by s; where the strain is not unique, with its free part held.
@@ -45,7 +34,7 @@ def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOption
     >>> found.strength.round(1)  # yield stress in N/mm2 per N/mm of line load along the grain
     array([[123.2,  59.4]])
     """
-    known, material, joint = table.provenance, cell.material, Joint.of(options.joint)
+    known, material, closed = table.provenance, cell.material, Joint.of(joint)
     mine = {"weave": cell.weave.name, "grain": cell.grain, "r1_mm": cell.r1, "r2_mm": cell.r2}
     for key, value in (mine | {"density_kg_per_mm3": cell.density}).items():
         if known.get(key, value) != value:
@@ -61,7 +50,7 @@ def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOption
         """Compliance (n, 2, 3, 3) in weave axes, of the bend at unit trace of S and of the rings; strength (n, 2)."""
         own = weave_sides(some.cell, sides)
         equations, S = Equations.of(some.cell.weave, cell.wire), second_pk(deformation(some.pose, own), some.s)
-        rings = ring_states(equations, some.found, some.s, own, material.poisson, joint.angles_deg)
+        rings = ring_states(equations, some.found, some.s, own, material.poisson, closed.angles_deg)
         size = trace(S)[:, None]
         parts = [rings.locking * size[..., None], rings.elastic / (material.young_N_per_mm2 * cell.r1)]
         return np.stack(parts, axis=1), np.stack([rings.first_yield, rings.collapse], axis=1) / (cell.r1 * size)
@@ -74,5 +63,5 @@ def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOption
         np.add.at(parts, at, share[:, None, None, None] * (other - own[at]))
     bend, give = np.moveaxis(parts[..., weave_axes(cell), weave_axes(cell)], 1, 0)
     D = bend / trace(table.S)[:, None, None] + give
-    provenance = known | {"compliance": "rings", "joint": joint.name, "material": asdict(material)}
+    provenance = known | {"compliance": "rings", "joint": closed.name, "material": asdict(material)}
     return replace(table, compliance=D, strength=strength, provenance=provenance)

@@ -23,7 +23,6 @@ rve table --out new.csv --alpha 0:10 -> --alpha
 rve table --out new.csv --graded --beta 10 -> --graded
 rve table --out new.csv --cells 2 -> cells
 rve table --out new.csv --cells 9x1 -> cells
-rve table --out new.csv --cells 2x1 --method stewart-trinkle -> cells
 rve table --out new.csv --material mithril -> known are steel
 rve table --out new.csv --young 210 -> young = 210.0: expected a number >= 500
 rve table --out new.csv --rings --joint glued -> --joint = 'glued'

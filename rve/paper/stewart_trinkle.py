@@ -6,23 +6,19 @@ v = T(q) u, are carried from step to step, so the centrifugal terms of the curve
 gyroscopic torques vanish. `tests/test_rve/ten_rings.py` is the reference form with every constraint written out.
 """
 
-import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from rve.common import Array, Flags, Index, Rows, tell, way
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium, unit_loads
+from rve.equilibrium.interior_point import unit_loads
 from rve.equilibrium.system import Equations, lattice_load
-from rve.geometry.cell import Cell
 from rve.geometry.contacts import CellContacts, find_contacts
 from rve.geometry.pose import Pose, moved, reduction, start_pose
 from rve.paper.dynamics import Dynamics, StewartTrinkleOptions
-from rve.solve import BLOCK, checked_angles, locked_states, reference_sides, table_provenance, table_rows
-from rve.table import StrainTable
 
 ROUND_OFF = 1e-13
 """Rise of the energy in s_hat r1^2 that counts as none: some twenty forces of order 1 times round-offs of a gap."""
@@ -196,29 +192,3 @@ def solve(
     status = np.where(options.tolerance > end.R, "converged", failed)
     steps = History(*map(np.concatenate, zip(*log, strict=True))) if history else None
     return replace(end, status=status.astype("<U16"), history=steps)
-
-
-def solve_table_stewart_trinkle(cell: Cell, loads: tuple[ArrayLike, ArrayLike]) -> StrainTable:
-    """The strain-load table of a cell under load directions (alpha, beta) in degrees, each (n,), by the paper's scheme
-    at its contact stiffness.
-
-    Strains refer to the rigid reference cell; minimum gaps are negative. `unique` and `states` are those of the direct
-    solver, `iterations` are accepted steps; radius and density come from the cell. InputError for angles that are not
-    finite, NotConverged if there is no reference cell.
-    """
-    options = StewartTrinkleOptions(r1_mm=cell.r1, density=cell.density)
-    began = time.perf_counter()
-    alpha, beta = checked_angles(*loads)
-    sides = reference_sides(cell, DirectOptions())
-    states = locked_states(alpha, beta, cell, DirectOptions())
-    tensile = states.found.status != "compressive"
-    s = np.where(tensile[:, None], states.s, np.array([0.0, 0.0, 1.0]))
-    equations = Equations.of(cell.weave, cell.wire)
-    parts = [solve(s[i : i + BLOCK], equations, options) for i in range(0, len(s), BLOCK)]
-    rest = parts[0].join(parts[1:])
-    status = np.where(tensile, rest.status, "compressive")
-    found = Equilibrium(rest.pose, rest.lam, rest.contacts, rest.R, rest.steps, status, rest.rejected + 1)
-    table = table_rows(alpha, beta, replace(states, found=found), sides)
-    provenance = table_provenance(cell, DirectOptions(), sides, status, time.perf_counter() - began)
-    provenance |= {"method": "stewart-trinkle", "options": asdict(options), "simulated_s": float(rest.time.sum())}
-    return replace(table, provenance=provenance, states=states)

@@ -43,7 +43,7 @@ class PulledRing:
 def pulled_ring(r1: float, r2: float, material: Material = STEEL, joint: str = "welded") -> PulledRing:
     """The ring of radius r1 (centre circle) and wire radius r2 in mm, pulled apart by two opposed forces in its plane.
 
-    joint as for `RingOptions`, its angle counted from one of the forces; with "butted:worst" each number is that at its
+    joint as for `with_rings`, its angle counted from one of the forces; with "butted:worst" each number is that at its
     own worst angle, and joint_deg that of first yield. Wire that straightens, and hardens, bears more: collapse is the
     load at which the round ring begins to flow (docs/theory.md, 7). InputError for impossible rings and a material
     without yield stress.

@@ -14,7 +14,7 @@ from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import deformation_gradient, second_pk
 from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE
-from rve.more_columns import RingOptions, with_rings
+from rve.more_columns import with_rings
 from rve.solve import reference_sides, solve_table
 from rve.support_function import support
 from rve.table import read_table, write_table
@@ -69,7 +69,7 @@ def test_two_states_in_balance(tmp_path):
     ((_, part, rival),) = states.beside
     assert near.min() < part < near.max()
     own, other = (replace(best, states=one) for one in (replace(states, beside=()), rival))
-    asked, one, two = (with_rings(table, cell, RingOptions("butted:40")) for table in (best, own, other))
+    asked, one, two = (with_rings(table, cell, "butted:40") for table in (best, own, other))
     assert asked.strength == pytest.approx(two.strength)
     assert (two.strength > 1.02 * one.strength).all()
     assert asked.compliance == pytest.approx(one.compliance + part * (two.compliance - one.compliance))

@@ -16,7 +16,7 @@ from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
 from rve.geometry.pose import deformation
 from rve.geometry.ring_pair import tangent_frame
 from rve.geometry.weave import FOUR_IN_ONE
-from rve.more_columns import RingOptions, with_rings
+from rve.more_columns import with_rings
 from rve.ring.section import Ring, out_of_plane_inertia, shear_factor
 from rve.ring.strength import peak_stress
 from rve.solve import locked_block, reference_sides, solve_table
@@ -217,7 +217,7 @@ def test_table_columns_follow_material_size_and_grain():
 
 
 def jointed(name, loads=((0.0, 20.0, 20.0), (90.0, 30.0, 60.0))):
-    return with_rings(solve_table(Cell(), loads), Cell(), RingOptions(joint=name))
+    return with_rings(solve_table(Cell(), loads), Cell(), name)
 
 
 def test_butted_rings_are_weaker_softer_and_worst_at_the_worst_angle():

@@ -7,14 +7,11 @@ import pytest
 
 from rve.equilibrium.interior_point import solve_equilibrium
 from rve.equilibrium.system import Equations
-from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.pose import strain_of
 from rve.geometry.weave import FOUR_IN_ONE
 from rve.paper import stewart_trinkle as st
 from rve.paper.dynamics import Dynamics, StewartTrinkleOptions, copies
-from rve.paper.stewart_trinkle import solve_table_stewart_trinkle
-from rve.solve import solve_table
 
 EQUATIONS = Equations.of(FOUR_IN_ONE, 0.1)
 OPTIONS = StewartTrinkleOptions()
@@ -133,17 +130,6 @@ def test_too_few_steps_and_a_step_that_cannot_shrink_are_told(loads):
     for options, status in ((replace(OPTIONS, max_steps=3), "step-limit"), (STUCK, "time-step")):
         found = st.solve(loads[:1], EQUATIONS, options)
         assert (found.status[0], bool(np.isfinite(found.pose.lattice).all())) == (status, True)
-
-
-def test_tables_of_both_methods_are_one(loads):
-    angles = np.append(ALPHA[:3], 10.0), np.append(BETA[:3], -20.0)
-    found, direct = solve_table_stewart_trinkle(Cell(), angles), solve_table(Cell(), angles)
-    assert list(found.status) == ["converged"] * 3 + ["compressive"]
-    assert found.E[:3] == pytest.approx(direct.E[:3], abs=2e-6)
-    assert found.S[:3] == pytest.approx(direct.S[:3], abs=2e-5)
-    assert np.isnan(found.E[3]).all()
-    assert np.all((found.quality.min_gap_mm[:3] < 0.0) & (found.quality.min_gap_mm[:3] > -1e-4))
-    assert found.provenance["method"] == "stewart-trinkle"
 
 
 def test_copies_of_a_link_among_the_ten_rings():
