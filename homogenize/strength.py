@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from homogenize.directions import Directions, folds_of, tensile_part
 from rve import cauchy_line_load
-from rve.common import Array, Flags, InputError, Rows, Typed, as_html, read_entry, read_typed
+from rve.common import Array, Flags, InputError, Rows, Typed, read_entry, read_typed
 from rve.common.materials import Material, Stress
 from rve.common.rings import Joint
 from rve.common.tensor import IDENTITY, WEIGHT, eigenvalues, trace
@@ -147,9 +147,6 @@ class Strength(Rows):
         known = {name.replace("_", " "): value for name, value in vars(e).items() if name != "rows"}
         errors = ", ".join(f"{name} {value:.2g}" for name, value in known.items() if value is not None)
         return f"{head}; relative error at {e.rows} rows left out: {errors}"
-
-    def _repr_html_(self) -> str:
-        return as_html(self.text(), asdict(self.material))
 
     def to_dict(self) -> dict[str, Any]:
         return {

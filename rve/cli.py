@@ -15,7 +15,6 @@ from rve.common.commands.command_line import (
     Group,
     answer,
     check_plot,
-    feature_lines,
     options,
     parse_load,
     say,
@@ -41,7 +40,6 @@ def _choice(name: str, *words: str, text: str) -> Any:
     return click.option(name, type=click.Choice(words), default=words[0], show_default=True, help=text)
 
 
-explain_option = click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
 grain_option = _choice(
     "--grain", "y", "x", text="Axis along which rings interlace; x exchanges the axes: 6-in-1 is then its mirror image."
 )
@@ -106,13 +104,6 @@ def asked_directions(
     return product(first, parse_angles("0:90:5" if beta is None else beta, "--beta"))
 
 
-def _explain(found: Any) -> None:
-    """The run's decisions on standard error: `case` keeps standard output for its JSON."""
-    from rve.explain import features
-
-    say(*feature_lines(features(found.provenance)), err=True)
-
-
 @click.group(cls=Group)
 def main() -> None:
     """Where a periodic cell of rigid interlinked rings locks under each line load."""
@@ -128,11 +119,10 @@ def main() -> None:
 @click.option("--graded", is_flag=True, help="403 directions, close where strains change fast, instead of a grid.")
 @click.option("--rings", is_flag=True, help="Add stiffness (dE/dS) and strength columns of the rings' own wire.")
 @click.option("--joint", help="With --rings: welded, butted:ANGLE (degrees from the grain) or butted:worst.")
-@explain_option
 @branch_options
 @larger_options
 @cell_options
-def table(out: Path, rings: bool, joint: str | None, explain: bool, branches: Any, reference: Any, **rest: Any) -> None:
+def table(out: Path, rings: bool, joint: str | None, branches: Any, reference: Any, **rest: Any) -> None:
     """Write the strain-load table of a grid or a list of load directions."""
     from rve.equilibrium.interior_point import DirectOptions
     from rve.more_columns import with_rings
@@ -150,8 +140,6 @@ def table(out: Path, rings: bool, joint: str | None, explain: bool, branches: An
     if rings:
         found = with_rings(found, mesh, closed)
     write_table(found, out)
-    if explain:
-        _explain(found)
     _say_of_table(found, out)
     answer(read_json_object(sidecar_path(out)))
     if found.converged.sum() >= FIT_FROM:
@@ -177,9 +165,8 @@ def _say_of_table(found: Any, out: Path) -> None:
 @click.option("--alpha", type=float, required=True, help="Principal angle in degrees.")
 @click.option("--beta", type=float, required=True, help="Ratio angle in degrees.")
 @click.option("--plot", type=FILE, help="Picture to write, PNG, SVG or PDF.")
-@explain_option
 @cell_options
-def case(alpha: float, beta: float, plot: Path | None, explain: bool, **cell: Any) -> None:
+def case(alpha: float, beta: float, plot: Path | None, **cell: Any) -> None:
     """Solve one load direction and print its locked state as JSON."""
     from rve.common.drawing.plane import save_figure
     from rve.plots import draw_case
@@ -189,8 +176,6 @@ def case(alpha: float, beta: float, plot: Path | None, explain: bool, **cell: An
     if plot is not None:
         check_plot(plot)
     found = solve_table(asked_cell(**cell), ([alpha], [beta]))
-    if explain:
-        _explain(found)
     status = str(found.status[0])
     if status != "converged":
         raise NotConverged(f"{status}: {SENTENCES[status]}")

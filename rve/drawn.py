@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +15,12 @@ from rve.common import Array
 from rve.common.drawing.plane import GREEN, Scale, new_axes, rounded_up
 from rve.common.drawing.space import BODY, BODY_OPACITY, THREE_QUARTERS, add, balls, lines, look, new_plotter, surface
 from rve.common.meshes import write_mesh_file
+from rve.common.optional import Axes, Plotter, PolyData
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
 from rve.geometry.pose import Pose
 from rve.geometry.ring_pair import tangent_frame
 from rve.solve import reference_pose
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from pyvista import Plotter, PolyData
 
 ALONG, AROUND = 24, 8
 """Points along and around the wire of a ring in files: lines of 100,000 rings stay below 60 MB."""

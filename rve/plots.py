@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rve.common import Array, digits
 from rve.common.drawing.plane import BLUE, VERMILION, new_axes
+from rve.common.optional import Axes
 from rve.drawn import DrawnRings
 from rve.equilibrium.interior_point import LockedStates, unit_loads
 from rve.equilibrium.system import lattice_load
 from rve.geometry.cell import Cell
 from rve.geometry.pose import pair_geometry
 from rve.table import StrainTable
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 CLASS_COLOURS = ("#5d6672", "#a9b0b9", "#8a7a66")
 """Rings are grey, so that forces stand out."""

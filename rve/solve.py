@@ -20,7 +20,6 @@ from rve.equilibrium.limits import balanced, with_limits
 from rve.equilibrium.mixtures import MOVED
 from rve.equilibrium.symmetry import solve_equilibrium_symmetric
 from rve.equilibrium.system import Equations, mirror_modes
-from rve.explain import solver_work
 from rve.geometry.cell import Cell, weave_axes
 from rve.geometry.contacts import unlisted_gap, widened
 from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
@@ -128,7 +127,7 @@ def solve_table(
     alpha, beta = checked_angles(*loads)
     sides = reference_sides(cell, options)
     states = locked_states(alpha, beta, cell, options)
-    record: dict[str, Any] = {"work": solver_work(states, cell)}
+    record: dict[str, Any] = {}
     if options.branches == "largest":
         table, record["branches"] = largest_table(alpha, beta, cell, states, options, sides)
     elif cell.is_larger:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rve.common import Array, InputError, as_html
+from rve.common import Array, InputError
 from rve.common.tensor import disc, double_dot, eigenvalues, from_disc, trace
 from rve.equilibrium.dead_load import LoadedCell
 from rve.equilibrium.interior_point import DirectOptions, unit_loads
@@ -82,12 +82,6 @@ class SupportValue:
         return f"SupportValue: {int((self.status == 'converged').sum())} of {len(self)} loads converged"
 
     __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        """What a notebook shows: the numbers of a single load, or a line for each."""
-        if len(self) == 1:
-            return as_html(self, self.row(0))
-        return as_html(self, lines=(f"S = {S.tolist()}: h = {h:.6g}" for S, h in zip(self.S, self.h, strict=True)))
 
 
 def support(

@@ -11,7 +11,7 @@ from tests.commands import run
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "files.md"
 pytestmark = pytest.mark.slow
-FREE = {"versions", "files", "options", "work", "sentences", "cells_by_status", "meanings", "table_provenance", "units"}
+FREE = {"versions", "files", "options", "sentences", "cells_by_status", "meanings", "table_provenance", "units"}
 FREE |= {"factors", "drawn_gap_mm_quantiles_0_5_25_50", "several_states"}
 """Entries whose own keys are names of packages, files, options, statuses and rows."""
 FOLDERS = {"demand", "space", "body", "every", "curtains", "tables", "found", "sized"}

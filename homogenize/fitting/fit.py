@@ -29,7 +29,7 @@ from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.report import ErrorReport
 from homogenize.laws.stored import StoredLaw
 from homogenize.strength import strength_of_table
-from rve.common import Array, InputError, Typed, as_html, checksum
+from rve.common import Array, InputError, Typed, checksum
 from rve.common.rings import STEEL_KG_PER_MM3, check_rings
 from rve.common.tensor import disc, trace
 
@@ -72,10 +72,6 @@ class FitResult:
         return self.report.text()
 
     __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        strength = () if self.law.strength is None else (self.law.strength.text(),)
-        return as_html(self.law, lines=(*self.report.text().splitlines(), *strength))
 
 
 def fit_table(path: str | Path, options: FitOptions | None = None) -> FitResult:

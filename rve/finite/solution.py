@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common import Array, as_html, digits
+from rve.common import Array, digits
 from rve.common.drawing.page import write_page
+from rve.common.optional import Axes, Plotter
 from rve.drawn import DrawnRings
 from rve.finite.equations import gradients, spread
 from rve.finite.layout import FiniteMesh
@@ -18,10 +19,6 @@ from rve.finite.problem import Problem
 from rve.finite.task import SENTENCES, Found, Record, Task
 from rve.finite.touching import links_intact
 from rve.finite.walls import Obstacle, RoundBody
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from pyvista import Plotter
 
 _SEEN = 1e-3
 """Forces of supports below this part of the largest one are not drawn."""
@@ -94,18 +91,6 @@ class FiniteSolution:
         return f"FiniteSolution: {self.status}, {len(self.centre)} rings, mean height {self.mean_height:.3f} mm"
 
     __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        """What a notebook shows: status, what it means, and its numbers."""
-        numbers = {
-            "potential_N_mm": self.potential,
-            "largest_contact_force_N": float(self.contacts.force.max(initial=0.0)),
-            "min_gap_mm": self.contacts.min_gap_mm,
-            "kkt_residual": self.kkt_residual,
-            "iterations": self.iterations,
-            "wall_s": self.wall_s,
-        }
-        return as_html(self, numbers, (self.message,))
 
     @property
     def largest_force(self) -> Array:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from rve.common import InputError, Typed, as_html
+from rve.common import InputError, Typed
 from rve.common.materials import STEEL, Material, named_material
 from rve.common.rings import STEEL_KG_PER_MM3, Density, Length, ring_volume
 from rve.geometry.weave import FOUR_IN_ONE, WEAVES, Weave, supercell
@@ -96,12 +96,6 @@ class Cell(Typed):
     def wire(self) -> float:
         """r2/r1."""
         return self.r2 / self.r1
-
-    def _repr_html_(self) -> str:
-        """What a notebook shows: radii, weave, grain, material and the mass of a ring."""
-        known = {"r1_mm": self.r1, "r2_mm": self.r2, "weave": self.weave.name, "grain": self.grain}
-        more = {"material": self.material.name, "density_kg_per_mm3": self.density, "ring_mass_kg": self.ring_mass}
-        return as_html("Cell", known | more)
 
     @property
     def ring_mass(self) -> float:

@@ -1,13 +1,17 @@
 """Contact of two tori against dense sampling, closed forms and differences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rve.geometry.contacts import distance_gradient, distance_hessian
+from rve.geometry.contacts import distance_gradient, distance_hessian, unlisted_gap
+from rve.geometry.pose import start_pose
 from rve.geometry.ring_pair import are_linked, foot_on_circle, local_minima, tangent_frame
+from rve.geometry.weave import FOUR_IN_ONE
 
 
 def unit(x):
@@ -174,3 +178,10 @@ def test_the_foot_of_a_point_on_a_circle_is_the_nearest_of_many_also_on_its_axis
     angle = np.linspace(0.0, 2.0 * np.pi, 2001)[:, None, None]
     sampled = np.linalg.norm(np.cos(angle) * e + np.sin(angle) * f - p, axis=2).min(axis=0)
     assert np.linalg.norm(foot - p, axis=1) == pytest.approx(sampled, abs=1e-5)
+
+
+def test_the_gap_of_unlisted_pairs_is_a_bound():
+    pose = start_pose(FOUR_IN_ONE, 1)
+    squeezed = replace(pose, lattice=pose.lattice * np.array([0.3, 0.3, 1.0]))
+    assert unlisted_gap(pose, FOUR_IN_ONE, 0.1)[0] > 0.3
+    assert unlisted_gap(squeezed, FOUR_IN_ONE, 0.1)[0] < 0.0

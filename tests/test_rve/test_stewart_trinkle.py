@@ -137,3 +137,12 @@ def test_copies_of_a_link_among_the_ten_rings():
     assert [count[0, 1, i, j] for i, j in ((0, 0), (0, -1), (-1, 0), (-1, -1))] == [4, 4, 2, 2]
     assert count[0, 0, 1, 0] == 3
     assert count[0, 0, 2, 0] == 0
+
+
+def test_motion_without_inertia_comes_to_rest_at_the_same_place():
+    """A millionth of the mass: damping alone determines where the rings come to rest."""
+    s = cauchy_line_load([20.0], [30.0])
+    slow, fast = (st.solve(s, EQUATIONS, replace(OPTIONS, density=share * OPTIONS.density)) for share in (1.0, 1e-6))
+    assert fast.status[0] == "converged"
+    assert fast.pose.lattice == pytest.approx(slow.pose.lattice, abs=1e-8)
+    assert not np.array_equal(fast.pose.lattice, slow.pose.lattice)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,11 +16,9 @@ from rve.common.drawing.plane import Scale
 from rve.common.drawing.space import parts
 from rve.common.errors import require
 from rve.common.files import AnyPath, write_text
+from rve.common.optional import Plotter
 from rve.common.progress import tell
 from rve.common.texts import digits
-
-if TYPE_CHECKING:
-    from pyvista import Plotter
 
 AXES = [2, 0, 1]
 """Our axes z, x, y as x, y, z of plotly, whose third axis points up."""

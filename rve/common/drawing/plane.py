@@ -5,19 +5,15 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rve.common.errors import InputError, require
 from rve.common.files import atomic_path
+from rve.common.optional import Axes, Figure
 from rve.common.records import Array
 from rve.common.texts import digits
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.colors import Colormap, ListedColormap, Normalize
-    from matplotlib.figure import Figure
 
 BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009e73"
 """Colours that colour-blind readers tell apart (Okabe and Ito)."""
@@ -40,7 +36,7 @@ def new_axes(width: float = 7.0, height: float = 5.2) -> Any:
     return new_figure(width, height).subplots()
 
 
-def viridis() -> ListedColormap:
+def viridis() -> Any:
     """The map viridis without its lightest part, for lines and marks on white."""
     import matplotlib
     from matplotlib.colors import ListedColormap
@@ -92,7 +88,7 @@ class Scale:
         """The label, and the largest value if it is above the scale."""
         return self.label + (f"; arrow: up to {digits(self.largest)}" if self.is_exceeded else "")
 
-    def colour_map(self) -> Colormap:
+    def colour_map(self) -> Any:
         """The colours for matplotlib and pyvista."""
         import matplotlib
         from matplotlib.colors import ListedColormap
@@ -100,7 +96,7 @@ class Scale:
         share = np.linspace(0.0, 1.0, 1024) ** (0.5 if self.spread == "root" else 1.0)
         return ListedColormap(matplotlib.colormaps["viridis"](share)).with_extremes(over=OVER)
 
-    def norm(self) -> Normalize:
+    def norm(self) -> Any:
         """The range for matplotlib."""
         from matplotlib.colors import LogNorm, Normalize
 

@@ -12,19 +12,16 @@ from ctypes import CDLL
 from ctypes.util import find_library
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rve.common.drawing.plane import OVER, Scale
 from rve.common.errors import InputError, require
 from rve.common.files import atomic_path
+from rve.common.optional import Figure, Plotter, PolyData
 from rve.common.progress import tell
 from rve.common.records import Array
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from pyvista import Plotter, PolyData
 
 PANEL = (1400, 1240)
 """Pixels of a panel before matplotlib makes it smaller, which smooths edges."""
