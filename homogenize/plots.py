@@ -49,8 +49,8 @@ def write_pictures(law: StoredLaw, table: StrainTable, folder: str | Path, input
         "sections.png": plot_sections(law, rows).figure,
     }
     with job(folder, RECORD, {"law": law.name, "rows": len(rows)}, inputs) as staged:
-        for number, (name, figure) in enumerate(figures.items()):
-            tell(f"drawing, {name}", number / len(figures))
+        for name, figure in figures.items():
+            tell(f"drawing {name}")
             save_figure(staged / name, figure)
     return [Path(folder) / name for name in figures]
 

@@ -225,7 +225,7 @@ def with_forces(found: CurtainSolution) -> CurtainSolution:
         solver = replace(problem.scene.solver, kind="elastic", bounds=False, adapt=0)
         second = replace(problem, scene=replace(problem.scene, solver=solver), bodies=(), winds=())
         try:
-            with part_of("forces by elastic rings", 0.0, 1.0):
+            with part_of("forces by elastic rings"):
                 elastic = solve_problem(second, found)
                 why = f"with elastic rings {elastic.message}"
         except InputError as error:

@@ -57,9 +57,9 @@ def solve(scene: Scene, who: Who = None) -> Solution:
     if isinstance(who, EveryRing):
         return solve_every_ring(scene, who)
     answer = _on_demand(scene, who) if isinstance(who, OnDemand) else solve_membrane(scene, who)
-    others, cell, count = [], answer.solution.problem.law.cell, len(scene.combination)
-    for number, one in enumerate(scene.combination):
-        with part_of(f"combination {one.name}", number / count, (number + 1) / count):
+    others, cell = [], answer.solution.problem.law.cell
+    for number, one in enumerate(scene.combination, 1):
+        with part_of(f"combination {one.name}, {number} of {len(scene.combination)}"):
             others.append((one, solve(combined(scene, one, cell), who)))
     return replace(answer, combinations=tuple(others))
 
@@ -139,7 +139,7 @@ def _steps(scene: Scene, law: MembraneLaw, last: int) -> list[CurtainSolution]:
     steps: list[CurtainSolution] = []
     for step in range(1, last + 1):
         work = f"{mesh.mesh.t.shape[1]} cells, load step {step} of {count}"
-        with part_of(work, (step - 1) / last, step / last):
+        with part_of(work):
             solution = solve_problem(pose(scene, law, mesh, step / count), steps[-1] if steps else None)
         if solution.status == "infeasible":
             at = f" at {step / count:.3g} of the prescribed moves" if count > 1 else ""

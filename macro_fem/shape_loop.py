@@ -28,7 +28,7 @@ from macro_fem.scene.obstacles import PlacedObstacle
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.status import Settling, load_scale
 from macro_fem.solvers.walls import TOUCHED, Walls
-from rve.common import Array, digits, part_of, way
+from rve.common import Array, digits, part_of
 
 ROUNDS = 60
 """Most rounds; one costs a convex solve."""
@@ -107,8 +107,7 @@ def solve_shape(problem: CurtainProblem, start: CurtainSolution | None, solve: S
             wind = wind_density(problem, shape)
         else:
             shape, wind = found.x, mixer.next(wind, change)
-        share = way(misfits[0], record.misfit, settled)
-        with part_of(f"shape of the curtain, round {rounds}", share, share):
+        with part_of(f"shape of the curtain, round {rounds}, change {record.misfit:.0e} down to {settled:.0e}"):
             last, found = found, solve(_pose(problem, tangents, wind), found)
         watch.look(problem.bodies, last.x, found.x)
     own = replace(found.problem, scene=scene, bodies=problem.bodies, winds=problem.winds)
@@ -136,7 +135,7 @@ def _approach(
         fem = problem.fem.moved((1.0 - part) * held + part * problem.fem.x_held) if part < 1.0 else problem.fem
         pushed, here = _push_out(problem, x, *factors, watch), replace(problem, fem=fem, bodies=bodies)
         tangents = [tangent_walls(body, fem, pushed) for body in bodies]
-        with part_of(f"moving into place, {100.0 * done:.0f} % done", done, part):
+        with part_of(f"moving into place, {100.0 * done:.0f} % done"):
             found = solve(_pose(here, tangents, wind), last)
         if found.status == "infeasible" and stride > SHORTEST:
             stride *= 0.5

@@ -101,8 +101,7 @@ def largest_that_holds(
     def use(value: float) -> float:
         """Asked over found factor: at most 1 where the curtain holds, inf where there is no answer."""
         if value not in rows:
-            share = min(len(rows) / (COARSE + MOST), 0.95)
-            with part_of(f"{vary} = {value:.6g}", share, share):
+            with part_of(f"{vary} = {value:.6g}"):
                 rows[value] = _row(scene, who, vary, value)
         return np.inf if (known := rows[value].factor) is None else factor / known
 

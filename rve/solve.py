@@ -53,7 +53,7 @@ def locked_states(alpha_deg: Array, beta_deg: Array, cell: Cell, options: Direct
     blocks = []
     for first in range(0, len(alpha_deg), BLOCK):
         rows = slice(first, first + BLOCK)
-        with part_of(f"{len(alpha_deg)} loads", first / len(alpha_deg), min(1.0, (first + BLOCK) / len(alpha_deg))):
+        with part_of(f"{first} of {len(alpha_deg)} loads solved"):
             blocks.append(locked_block(alpha_deg[rows], beta_deg[rows], cell, options))
     widest = max((states.cell for states in blocks), key=lambda cell: len(cell.weave.pairs))
     blocks = [states.listing(widest) for states in blocks]

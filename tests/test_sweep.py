@@ -162,7 +162,7 @@ def test_an_idle_worker_that_is_stopped_says_nothing(capfd):
 def test_a_sweep_that_loses_its_processes_keeps_what_is_finished_and_says_what_is_not(tmp_path):
     items = table_items(tmp_path, [5.0], [0.5, 1.0, 0.6, 0.7], ["4-in-1"], "y", GRID)
 
-    def listen(work, share):
+    def listen(work):
         for child in active_children():
             child.kill()
 

@@ -56,7 +56,7 @@ def held_out_misfit(rows: LockedRows, refit: Callable[[LockedRows], MembraneLaw]
     S, error = [], []
     folds = folds_of(rows.S, rows.is_mirrored)
     for number, (out, keep) in enumerate(folds):
-        tell("error of the law at rows left out", number / len(folds))
+        tell(f"error of the law at rows left out, {number + 1} of {len(folds)}")
         try:
             law = refit(rows.take(keep))
         except InputError:

@@ -189,7 +189,7 @@ def _newton(law: MembraneLaw, scale: float, alpha: Array, beta: Array, X: Array)
         todo = np.flatnonzero(state.size > TOLERANCE)
         if not todo.size:
             break
-        tell(f"strains under {len(X)} loads", 1.0 - todo.size / len(X))
+        tell(f"strains under {len(X)} loads, {todo.size} to go")
         dX = -np.einsum("nij,nj->ni", np.linalg.pinv(state.J[todo], rcond=SINGULAR), state.r[todo])
         dX *= np.minimum(1.0, 0.3 / np.maximum(np.abs(dX).max(axis=1), 1e-300))[:, None]
         before = state.size
@@ -211,8 +211,7 @@ def _walk(law: MembraneLaw, scale: float, alpha: Array, beta: Array) -> _Evaluat
     """
     X = _start(law, scale, alpha, np.full(len(beta), 45.0))
     for turn, left in enumerate(np.linspace(1.0, 0.0, PATH_STEPS + 1) ** 3):
-        share = turn / (PATH_STEPS + 1)
-        with part_of("loads that failed, again along a path", share, share):
+        with part_of(f"loads that failed, again along a path, step {turn + 1} of {PATH_STEPS + 1}"):
             state = _newton(law, scale, alpha, beta + left * (45.0 - beta), X)
         X = state.X
     return state

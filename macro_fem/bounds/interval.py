@@ -204,13 +204,13 @@ def levels(first: CurtainSolution, outer: MembraneLaw | None = None) -> Iterator
     """
     solution, scene, law = first, first.problem.scene, first.problem.law.own
     for number in range(scene.solver.adapt + 1):
-        with part_of(f"{solution.problem.disc.n_cells} cells, bounds", 0.5, 1.0):
+        with part_of(f"{solution.problem.disc.n_cells} cells, bounds"):
             bounds = bound(solution, outer=outer)
         yield bounds
         if bounds.status != "converged" or number == scene.solver.adapt:
             return
         mesh = refine(solution.problem.mesh, mark(bounds.error))
-        with part_of(f"{mesh.mesh.t.shape[1]} cells", 0.0, 0.5):
+        with part_of(f"{mesh.mesh.t.shape[1]} cells"):
             solution = solve_problem(with_cones_of(admissible_problem(scene, law, mesh), solution))
         if solution.status != "converged":
             return

@@ -106,7 +106,7 @@ def solve_on_demand(scene: Scene, rings: Rings, accuracy: float = ACCURACY) -> D
     level: CurtainBounds | None = None
     share, status, why = FIRST_GAP, "turn_limit", dict[str, Any]()
     while len(turns) < MOST_TURNS:
-        with part_of(_line(mesh, rings, level), 0.0, 1.0):
+        with part_of(_line(mesh, rings, level)):
             solution = _hang(scene, rings, mesh, last, LOST if level is None else 0)
         if solution.status != "converged":
             if level is None:
@@ -121,7 +121,7 @@ def solve_on_demand(scene: Scene, rings: Rings, accuracy: float = ACCURACY) -> D
         part = _loads(solution, rings, inner).law_part
         is_known = part <= AGAIN * allowed or len(rings.x) == before
         if is_known:
-            with part_of("bounds", 0.0, 1.0):
+            with part_of("bounds"):
                 new = bound(solution, outer=rings.law.outer)
         asked = {"rows": len(rings.rows), "ring_solves": rings.solves, "cache_hits": rings.hits}
         ends = {"upper_N_mm": solution.primal, "lower_N_mm": new.lower if is_known else np.nan, "law_part_N_mm": part}

@@ -68,7 +68,7 @@ class Rings:
         """Ask for the directions x (n, 2), one after the other; each answer is kept as soon as it is there."""
         x = rounded(x)
         for number, one in enumerate(x):
-            tell(f"asking the rings, {self.solves} solved, {len(x) - number} to go", number / len(x))
+            tell(f"asking the rings, {self.solves} solved, {len(x) - number} to go")
             if (row := self.answer(one)) is None:
                 self.failed += 1
             else:

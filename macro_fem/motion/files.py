@@ -100,7 +100,7 @@ def _write_frames(folder: Path, mover: AnyMover, frames: Sequence[Frame]) -> Non
 
     balls, entries, places = mover.balls, [], []
     for k, frame in enumerate(frames):
-        tell(f"writing frames, {k} of {len(frames)}", k / len(frames))
+        tell(f"writing frames, {k} of {len(frames)}")
         t = frame.moment.t
         entries.append((t, 0, f"motion_{k:04d}.vtu"))
         mover.write_vtu(folder / entries[-1][2], frame)

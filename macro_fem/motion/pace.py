@@ -206,7 +206,7 @@ class Mover(ABC, Generic[F, A]):
         kinks = {t for item in timed for t, _ in item.history}
         yield frame
         while (t := frame.moment.t) < end - near:
-            tell(f"{self.what} in motion, {t:.4g} of {end:.4g} s", t / end)
+            tell(f"{self.what} in motion, {t:.4g} of {end:.4g} s")
             if any(abs(t - release) <= near for release in releases):
                 frame = replace(frame, is_euler=True)
             stops = [one for one in releases if one > t + near] + [max(k, t + least) for k in kinks if k > t + near]

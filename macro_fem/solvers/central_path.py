@@ -24,7 +24,7 @@ from macro_fem.solvers.cones import first_cones, least_slack
 from macro_fem.solvers.path import PATH, RIGID_TERMS, PathOptions, PathResult, Terms
 from macro_fem.solvers.status import FREE, Evidence, Reach, load_scale
 from macro_fem.solvers.walls import WallRows, Walls
-from rve.common import Array, tell, way
+from rve.common import Array, tell
 
 SETTLED = 1e-2
 """Stagnation is checked only below this error; earlier, gap and residuals fall alternately."""
@@ -126,9 +126,10 @@ def solve_path(
 def _follow(place: _Place, load: Array, options: PathOptions) -> tuple[_Place, _Place, str, int]:
     """Where the path from a place ends, the place near it with the largest margin, why it ends, how many steps."""
     inner, best = replace(place, interior_margin=-place.violation), place
-    prunes, steps, waited, held, first = list(options.pruned_at), 0, 0, 0, place.now.gap
+    prunes, steps, waited, held = list(options.pruned_at), 0, 0, 0
     while (stop := _find_stop(place, inner, load, options, steps)) is None:
-        tell(f"curtain of {len(place.program.fem.disc.weight)} points", way(first, place.now.gap, options.gap))
+        points = len(place.program.fem.disc.weight)
+        tell(f"curtain of {points} points, gap {place.now.gap:.0e} down to {options.gap:.0e}")
         after = None if waited > PATIENCE else _try_step(place, options, may_wait=held < ANEW)
         if after is None:
             return best, inner, "stalled", steps

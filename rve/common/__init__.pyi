@@ -20,7 +20,6 @@ from .files import write_text as write_text
 from .progress import heard_by as heard_by
 from .progress import part_of as part_of
 from .progress import tell as tell
-from .progress import way as way
 from .records import Array as Array
 from .records import Flags as Flags
 from .records import Index as Index

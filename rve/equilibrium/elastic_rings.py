@@ -129,7 +129,7 @@ def ring_states(
     states = RingStates(np.zeros(found.lam.shape), tensor, tensor, nan, nan, nan)
     ring = Ring(1.0, equations.wire, 1.0, poisson)
     for start in range(0, len(good), _BLOCK):
-        tell(f"wires of the rings under {len(good)} loads", start / len(good))
+        tell(f"wires of the rings under load {start + 1} of {len(good)}")
         rows = good[start : start + _BLOCK]
         states = states.put(rows, _Cells(equations, found.take(rows), s[rows], reference, ring).states(angles_deg))
     return states

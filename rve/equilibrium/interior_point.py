@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from rve.common import Array, Flags, Index, Rows, Typed, tell, way
+from rve.common import Array, Flags, Index, Rows, Typed, tell
 from rve.equilibrium.steps import Valley, accept_step, admitted_share, carry_forces, newton_direction
 from rve.equilibrium.system import Equations, System
 from rve.geometry.cell import Cell
@@ -199,8 +199,7 @@ def iterate_to_end(state: PathState, equations: Equations, options: DirectOption
             state, off, merit = state.take(go), off[go], merit[go]
         if not len(state.row) or iteration == options.max_iterations:
             break
-        here = way(options.mu_start, float(np.median(state.mu)), options.mu_end) or 0.0
-        tell(f"{cases} loads of rings", 1.0 - (1.0 - here) * len(state.row) / cases)
+        tell(f"{cases} loads of rings, {len(state.row)} under way")
         anchor = state = update_path(state, off, merit, options)
         state = iterate(state, equations, options)
     return finished, state

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rve.common import Array, Flags, tell, way
+from rve.common import Array, Flags, tell
 from rve.common.factor import Factorizer
 from rve.finite.equations import gradients, spread
 from rve.finite.newton import Iteration, Step
@@ -89,8 +89,7 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
     pace, status, is_minimum = Patience(options, len(state.mu)), "iterations", False
     for _ in range(options.max_iterations):
         most = float(state.mu.max())
-        words = f"{len(task.force)} rings, iteration {len(history) + 1}, force x gap {most:.0e}"
-        tell(words, way(options.first, most, options.last))
+        tell(f"{len(task.force)} rings, iteration {len(history) + 1}, force x gap {most:.0e} to {options.last:.0e}")
         residual, product = kkt(state, task)
         merit = max(residual, product * options.tolerance / max(options.tolerance, _PRODUCT * options.last))
         has_arrived = np.abs(task.way_left(state.touching.placed)).max() < 1e-12

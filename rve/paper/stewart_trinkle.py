@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from rve.common import Array, Flags, Index, Rows, tell, way
+from rve.common import Array, Flags, Index, Rows, tell
 from rve.equilibrium.interior_point import unit_loads
 from rve.equilibrium.system import Equations, lattice_load
 from rve.geometry.contacts import CellContacts, find_contacts
@@ -172,9 +172,7 @@ def solve(
     ended: list[CellMotion] = []
     log: list[list[Any]] = []
     while len(motion.row):
-        # The residual falls by powers of ten on the way to rest, and the slowest case counts.
-        here = way(1.0, float(motion.R.max()), options.tolerance) or 0.0
-        tell(f"motion of {len(s)} cells, {len(motion.row)} under way", 1.0 - (1.0 - here) * len(motion.row) / len(s))
+        tell(f"motion of {len(s)} cells, {len(motion.row)} under way, step {motion.steps.max() + 1}")
         h = motion.h
         motion, good, rise = advanced(motion, equations, options, dynamics)
         if history:

@@ -275,6 +275,6 @@ def draw_all(study: Study, folder: Path) -> None:
     """Draw Figs. 9 to 17 into a folder."""
     for number, fig in enumerate(figures(study)):
         name = f"fig_{number + 9:02d}.png"
-        tell(f"drawing, {name}", number / 9)
+        tell(f"drawing {name}")
         if fig is not None:
             save_figure(folder / name, fig)

@@ -137,7 +137,7 @@ def nearest_poses(
     targets = upright[first]
     blocks = []
     for i in range(0, len(targets), _BLOCK):
-        with part_of(f"rings in {len(targets)} strains", i / len(targets), min(1.0, (i + _BLOCK) / len(targets))):
+        with part_of(f"rings in strain {i + 1} of {len(targets)}"):
             blocks.append(_settled(targets[i : i + _BLOCK], cell, options, states))
     poses, gaps, settled = zip(*blocks, strict=True)
     pose, gap, known = poses[0].join(poses[1:]), np.concatenate(gaps), np.concatenate(settled)
@@ -163,7 +163,7 @@ def _settled(E: Array, cell: Cell, options: PoseOptions, states: LockedArrangeme
         # Weak springs leave weak contact forces, whose curvature counts all the same.
         equations = replace(Equations.of(cell.weave, cell.wire, load=springs), is_relative=False, idle=-1.0)
         quick = replace(options.direct, mu_start=first, mu_end=last, attempts=1, max_iterations=50)
-        with part_of(f"stage {stage + 1}", stage / len(_LADDER), (stage + 1) / len(_LADDER)):
+        with part_of(f"stage {stage + 1} of {len(_LADDER)}"):
             found = solve_equilibrium(rows, equations, replace(quick, tolerance=max(last, 1e-9)), start)
         start = found.pose
         if stage >= len(_LADDER) - 3:

@@ -97,7 +97,7 @@ def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1) -> list[Ended
             if not how.message:
                 cache.put(item.question, {"code": how.code}, how.files)
             ended[item.name] = how
-            tell(f"sweep, {len(ended)} of {len(items)} done", len(ended) / len(items))
+            tell(f"sweep, {len(ended)} of {len(items)} done")
     return [ended[item.name] for item in items]
 
 
