@@ -199,7 +199,7 @@ def iterate_to_end(state: PathState, equations: Equations, options: DirectOption
             state, off, merit = state.take(go), off[go], merit[go]
         if not len(state.row) or iteration == options.max_iterations:
             break
-        tell(f"{cases} loads of rings, {len(state.row)} under way")
+        tell(f"{len(state.row)} of {cases} loads under way")
         anchor = state = update_path(state, off, merit, options)
         state = iterate(state, equations, options)
     return finished, state

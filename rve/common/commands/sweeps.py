@@ -85,6 +85,7 @@ def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1) -> list[Ended
         if (found := cache.get(item.question)) is not None:
             ended[item.name] = Ended(found["code"], "")
     left = [item for item in items if item.name not in ended]
+    tell(f"sweep, {len(ended)} of {len(items)} done")
     kept = f"what is finished is kept in {out}, and the same command goes on from there"
     with noted_if_stopped(kept), _processes(min(jobs, len(left) or 1)) as workers:
         futures = {workers.submit(run_item, item): item for item in left}
