@@ -6,7 +6,6 @@ from typing import Any
 
 from macro_fem.output.weakest import holds_line
 from rve.common import digits
-from rve.common.commands.command_line import feature_lines
 
 
 def default_law_lines(given: Path | None) -> list[str]:
@@ -37,7 +36,8 @@ def curtain_lines(summary: dict[str, Any], out: Path, *, explain: bool) -> Itera
     if "interval" in summary:
         yield interval_line(summary)
     if explain:
-        yield from feature_lines(summary["features"])
+        for row in summary["features"]:
+            yield f"{row['feature']:<16} {'used' if row['used'] else 'left out':<9} {row['why']}"
 
 
 def _heights(summary: dict[str, Any]) -> str:

@@ -18,7 +18,7 @@ from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.tables import Bar, LiveLoad
 from macro_fem.solution import CurtainSolution
-from rve.common import Array, meshes, versions
+from rve.common import Array, versions
 from rve.common.factor import linear_solver
 
 
@@ -168,17 +168,17 @@ def curtain_mesh(solution: CurtainSolution, extra: dict[str, Array] | None = Non
     values, direction = solution.principal()
     used = strength.utilisation(solution)
     data = {
-        meshes.STRAIN: disc.cell_mean(solution.E),
-        meshes.STRESS: disc.cell_mean(solution.S),
-        meshes.LINE_LOAD_1: values[:, 0],
-        meshes.LINE_LOAD_2: values[:, 1],
-        meshes.DIRECTION_1: padded(np.einsum("cij,cj->ci", disc.cell_mean(solution.F), direction)),
-        meshes.STATE: solution.state(),
+        "E_11_12_22": disc.cell_mean(solution.E),
+        "S_11_12_22_N_per_mm": disc.cell_mean(solution.S),
+        "line_load_1_N_per_mm": values[:, 0],
+        "line_load_2_N_per_mm": values[:, 1],
+        "direction_1": padded(np.einsum("cij,cj->ci", disc.cell_mean(solution.F), direction)),
+        "state_0_slack_1_wrinkled_2_taut": solution.state(),
         **({} if used is None else {"utilisation": used}),
         **(extra or {}),
     }
     point_data = {
-        meshes.DISPLACEMENT: padded(solution.corners) - padded(mesh.p.T),
+        "displacement_mm": padded(solution.corners) - padded(mesh.p.T),
         "support_force_N": padded(corner_forces(problem, solution.reactions)),
     }
     if len(problem.walls):

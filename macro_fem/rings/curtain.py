@@ -15,7 +15,7 @@ from macro_fem.fem.cells import recovered, triangle_areas
 from rve import Cell, cell_of_sides
 from rve.common import Array, Index, InputError, Rows, Typed, check_belongs, read_json_object, read_typed, types_of
 from rve.common.materials import STEEL, Material
-from rve.common.meshes import DISPLACEMENT, LINE_LOAD_1, STATE, STRAIN, STRESS, read_mesh_file
+from rve.common.meshes import read_mesh_file
 from rve.common.rings import check_rings
 
 SIDES = ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm")
@@ -104,9 +104,10 @@ def curtain_of(mesh: Any, told: Told, source: str) -> Curtain:
 
     Points are the reference state and `displacement_mm` leads to the deformed one; S is averaged over neighbours.
     """
-    X, x = mesh.points, mesh.points + mesh.point_data[DISPLACEMENT]
+    X, x = mesh.points, mesh.points + mesh.point_data["displacement_mm"]
     triangles = np.asarray(mesh.cells[0].data, dtype=np.intp)
-    E, S, line_load, state = (np.asarray(mesh.cell_data[one][0]) for one in (STRAIN, STRESS, LINE_LOAD_1, STATE))
+    names = "E_11_12_22", "S_11_12_22_N_per_mm", "line_load_1_N_per_mm", "state_0_slack_1_wrinkled_2_taut"
+    E, S, line_load, state = (np.asarray(mesh.cell_data[name][0]) for name in names)
     X, x = X[:, :2], x[:, :2] if np.abs(x[:, 2]).max() <= 1e-9 * np.abs(x).max() else x
     S = recovered(triangles, S, triangle_areas(X[triangles]))
     return Curtain(X, x, triangles, E, S, line_load, state.astype(int), told, source)
@@ -126,6 +127,6 @@ def read_curtain(path: str | Path) -> Curtain:
     mesh, record = read_mesh_file(vtu), vtu.parent / "summary.json"
     known = read_json_object(record)
     check_belongs(vtu, record, known, "run macro_fem again, or put the two files of one run side by side")
-    if STRAIN not in mesh.cell_data:
-        raise InputError(f"{vtu}: has no field {STRAIN}; is it the curtain.vtu of macro_fem run?")
+    if "E_11_12_22" not in mesh.cell_data:
+        raise InputError(f"{vtu}: has no field E_11_12_22; is it the curtain.vtu of macro_fem run?")
     return curtain_of(mesh, read_told(known, str(record)), str(vtu))

@@ -1,4 +1,4 @@
-"""Mesh files by meshio, and the names of the fields in a curtain's file."""
+"""Mesh files by meshio."""
 
 import io
 import warnings
@@ -13,13 +13,6 @@ from rve.common.files import AnyPath, atomic_path
 from rve.common.texts import read_bytes
 
 FORMATS = {".msh": "Gmsh MSH 2.2 and 4.1, ASCII or binary", ".vtu": "VTK XML unstructured grid"}
-
-DISPLACEMENT = "displacement_mm"
-"""Fields at the points of a curtain; in files of older versions points are deformed and the reference is a field."""
-STRAIN, STRESS = "E_11_12_22", "S_11_12_22_N_per_mm"
-LINE_LOAD_1, LINE_LOAD_2, DIRECTION_1 = "line_load_1_N_per_mm", "line_load_2_N_per_mm", "direction_1"
-STATE = "state_0_slack_1_wrinkled_2_taut"
-"""Fields of the cells of a curtain, written by `macro_fem.output.files`."""
 
 
 def read_mesh_file(path: Path) -> Any:

@@ -13,7 +13,6 @@ from macro_fem.cli import main
 from macro_fem.rings.curtain import Curtain, Told, curtain_of
 from macro_fem.rings.localize import find_sites, place_rings, turns
 from rve.common.files import checksum
-from rve.common.meshes import DISPLACEMENT, LINE_LOAD_1, STATE, STRAIN, STRESS
 from rve.drawn import ALONG, AROUND, DrawnRings
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import find_contacts
@@ -435,8 +434,9 @@ def test_line_loads_are_averaged_by_area():
     """Two triangles, the second of three times the area: their shared corners see (1 * 4 + 3 * 8) / 4 = 7."""
     X = np.array([[0.0, 0], [1, 0], [0, 1], [3, 1]])
     loads = np.array([[4.0, 0, 0], [8.0, 0, 0]])
-    data = {STRAIN: [np.zeros((2, 3))], STRESS: [loads], LINE_LOAD_1: [loads[:, 0]], STATE: [np.ones(2)]}
-    cells, still = [("triangle", np.array([[0, 1, 2], [1, 3, 2]]))], {DISPLACEMENT: np.zeros((4, 3))}
+    data = {"E_11_12_22": [np.zeros((2, 3))], "S_11_12_22_N_per_mm": [loads], "line_load_1_N_per_mm": [loads[:, 0]]}
+    data |= {"state_0_slack_1_wrinkled_2_taut": [np.ones(2)]}
+    cells, still = [("triangle", np.array([[0, 1, 2], [1, 3, 2]]))], {"displacement_mm": np.zeros((4, 3))}
     curtain = curtain_of(meshio.Mesh(np.pad(X, ((0, 0), (0, 1))), cells, still, data), Told(0.0, None), "two")
     np.testing.assert_allclose(curtain.S[:, 0], [(4 + 7 + 7) / 3, (7 + 8 + 7) / 3])
 

@@ -150,11 +150,6 @@ def _print(text: str, *, err: bool = False) -> None:
     click.echo(text, err=err)
 
 
-def feature_lines(rows: Iterable[Mapping[str, Any]]) -> list[str]:
-    """The table of --explain: what a run used and left out, and why."""
-    return [f"{row['feature']:<16} {'used' if row['used'] else 'left out':<9} {row['why']}" for row in rows]
-
-
 def options(*added: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """A decorator that gives a command these options and arguments, in this order."""
 
