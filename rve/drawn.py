@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from rve.common import Array
 from rve.common.drawing.plane import GREEN, Scale, new_axes, rounded_up
@@ -34,11 +34,7 @@ CLOSE = 8.0
 """Radius of the close-up, in r1."""
 NO_FORCE = "#808890"
 SHADOW_POINTS = 720
-"""Points on every centre circle at least. They are r2/5 or less apart: the shadow of a ring lacks 0.3 % at most."""
-SIGHT_LINES = 100_000
-"""Places of the cell at which the shadow is looked for, a Kronecker sequence: the solidity errs by a few 1e-4."""
-STEPS = np.array([0.7548776662466927, 0.5698402909980532])
-"""1/g and 1/g^2 with g^3 = g + 1: the places are no grid, with which rings could be in line."""
+"""Points on every centre circle, of which the shadow is made; four times as many make it 1e-5 of itself larger."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,9 +209,9 @@ def shadow(pose: Pose, wire: float) -> float:
     """
     axes = np.stack([pose.a1[0], pose.a2[0]])
     centre = np.pad(pose.centres[0], ((0, 0), (0, 1)))
-    count = max(SHADOW_POINTS, int(np.ceil(10.0 * np.pi / wire)))
-    circles = DrawnRings(centre, pose.normals[0], 1.0, wire).circles(count)[0][..., :2].reshape(-1, 2)
+    circles = DrawnRings(centre, pose.normals[0], 1.0, wire).circles(SHADOW_POINTS)[0][..., :2]
     shifts = np.array([[i, j] for i in range(-3, 4) for j in range(-3, 4)]) @ axes
-    places = (np.arange(SIGHT_LINES)[:, None] * STEPS % 1.0) @ axes
-    distance, _ = cKDTree((shifts[:, None] + circles).reshape(-1, 2)).query(places, distance_upper_bound=wire)
-    return float(np.isfinite(distance).mean())
+    copies = (shifts[:, None, None] + circles).reshape(-1, SHADOW_POINTS, 2)
+    cell = shapely.Polygon([(0.0, 0.0), axes[0], axes[0] + axes[1], axes[1]])
+    rings = shapely.intersection(shapely.buffer(shapely.linearrings(copies), wire), cell)
+    return float(shapely.union_all(rings).area / cell.area)
