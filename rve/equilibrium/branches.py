@@ -132,7 +132,7 @@ def _is_repeated(E: Array) -> Flags:
 
 def _fill(rows: RowStates, status: NDArray[np.str_], s: Array, known: KnownStates, mesh: LoadedCell) -> RowStates:
     """The rows with those that stalled on their way from a known state."""
-    left = np.flatnonzero(status == "stalled")
+    left = np.flatnonzero(np.isin(status, ("stalled", "no-limit")))
     if not len(left):
         return rows
     states = rows.states(mesh).join([known])
