@@ -13,7 +13,7 @@ import numpy as np
 from rve.common import Array, Index
 from rve.common.tensor import double_dot, trace
 from rve.equilibrium.interior_point import NEVER, DirectOptions, Equilibrium, solve_equilibrium, unit_loads
-from rve.equilibrium.limits import shortest
+from rve.equilibrium.limits import polish, shortest
 from rve.equilibrium.system import Equations, on_coordinates
 from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.contacts import parallel_clearance
@@ -136,13 +136,19 @@ def restart(loads: Array, equations: Equations, start: Pose, margin: float, opti
 def restart_patiently(
     loads: Array, equations: Equations, start: Pose, options: DirectOptions, margin: float = MARGINS[0]
 ) -> Equilibrium:
-    """`restart`; loads that stall, as of rank one do, from gaps of 1e-6 and along curved valleys."""
+    """`restart`; loads that stall, as of rank one do, from gaps of 1e-6 and along curved valleys, and if these lead
+    nowhere by Newton's method with the contacts that are closed."""
     found = restart(loads, equations, start, margin, options)
     left = np.flatnonzero(found.status != "converged")
     if len(left) and options.max_iterations:
         slower = replace(_patient(options), mu_start=MARGINS[1], max_iterations=200)
         opened = open_gaps(start.take(left), equations, MARGINS[1], options.reach)
         found = found.put(left, solve_equilibrium(loads[left], equations, slower, opened))
+        left = left[found.status[left] != "converged"]
+    if len(left):
+        s = unit_loads(loads[left]) if equations.is_relative else loads[left]
+        near = polish(start.take(left), equations, s, options)
+        found = found.put(left[near.status == "converged"], near.take(near.status == "converged"))
     return found
 
 

@@ -102,8 +102,7 @@ def _extrapolate_limit(
     change = np.abs(found.pose.lattice - three[-2].pose.lattice).max(axis=1)
     stays = np.abs(end.pose.lattice - guess.lattice).max(axis=1) < np.maximum(0.5 * change, 1e-9)
     known = np.all([part.status == "converged" for part in three], axis=0)
-    ok = known & (end.R < 1e-9) & (end.contacts.min_gap > -1e-10) & end.contacts.links_intact & stays
-    status = np.where(ok, "converged", "no-limit").astype("<U16")
+    status = np.where(known & (end.status == "converged") & stays, "converged", "no-limit").astype("<U16")
     return replace(end, iterations=found.iterations, status=status, attempts=found.attempts)
 
 
@@ -146,7 +145,7 @@ def polish(
     pose: Pose, equations: Equations, s: Array, options: DirectOptions, reach: float | Array = 1e-5, steps: int = 4
 ) -> Equilibrium:
     """Newton on r = 0 and gap = 0 of all contacts with gaps below `reach`, from poses near equilibria; least-norm
-    steps, so that a free mode stays where it is."""
+    steps, so that a free mode stays where it is. Status "stalled" where that is no equilibrium."""
     for _ in range(steps):
         contacts = equations.contacts(pose, options.reach)
         _, system = contact_forces(pose, contacts, equations, s, reach)
@@ -158,7 +157,9 @@ def polish(
             b = -np.concatenate([system.r[i], contacts.gap[i].ravel()[rows]])
             dq[i] = np.linalg.lstsq(A, b, rcond=1e-9)[0][: len(dq[i])]
         pose = moved(pose, np.clip(dq, -1e-2, 1e-2))
-    return balanced(pose, s, equations, options.reach, reach)
+    end = balanced(pose, s, equations, options.reach, reach)
+    ok = (end.R < 1e-9) & (end.contacts.min_gap > -1e-10) & end.contacts.links_intact
+    return replace(end, status=np.where(ok, "converged", "stalled").astype("<U16"))
 
 
 def with_limits(

@@ -162,10 +162,15 @@ def test_an_outline_goes_to_cad_and_back(tmp_path):
     panel.layers.add("NOTES").off()
     panel.modelspace().add_circle((20, 20), 5)
     panel.modelspace().add_circle((20, 20), 500, dxfattribs={"layer": "NOTES"})
-    panel.saveas(tmp_path / "round.dxf")
     line = panel.modelspace().add_line((70, 20), (80, 20))
     panel.saveas(tmp_path / "gap.dxf")
     line.destroy()
+    panel.blocks.new("POST").add_circle((0, 0), 5)
+    post = panel.modelspace().add_blockref("POST", (20, 60), dxfattribs={"layer": "NOTES"})
+    panel.saveas(tmp_path / "round.dxf")
+    post.dxf.layer = "0"
+    panel.saveas(tmp_path / "block.dxf")
+    post.destroy()
     panel.modelspace().add_spline().set_closed([(70, 20, 0), (80, 20, 0), (80, 30, 0), (70, 30, 0)])
     panel.saveas(tmp_path / "endless.dxf")
     for name, share in (("panel", 1.0), ("round", 1.0 - math.pi / 312.0)):
@@ -178,8 +183,13 @@ def test_an_outline_goes_to_cad_and_back(tmp_path):
     for name, text in (("words", "no drawing"), ("cut", (tmp_path / "panel.dxf").read_text()[:300])):
         (tmp_path / f"{name}.dxf").write_text(text)
     refused = {"empty": "needs closed curves"} | dict.fromkeys(("words", "cut", "none"), "cannot be read as DXF")
-    refused |= {"endless": "not closed", "gap": r"from \(70, 20\) is not closed", "inches": "unit inches"}
-    refused |= {"": "file: is missing", "panel": "holes = .*unknown"}
+    refused |= {
+        "endless": "not closed",
+        "gap": r"from \(70, 20\) is not closed",
+        "inches": "unit inches",
+        "block": "block 'POST'",
+    }
+    refused |= {"": "file: is missing", "panel": "holes = .*unknown", "block": "POST"}
     for name, words in refused.items():
         curtain = {"shape": "dxf", "file": name and f"{name}.dxf"} | ({"holes": []} if name == "panel" else {})
         with pytest.raises(InputError, match=words):

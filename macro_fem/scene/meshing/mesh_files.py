@@ -107,20 +107,29 @@ def _check_sides(mesh: Any) -> None:
             raise InputError(f"the point ({x:g}, {y:g}) lies on the side of a cell that it is no corner of")
 
 
+CURVES = ("LWPOLYLINE", "POLYLINE", "CIRCLE", "ELLIPSE", "SPLINE", "LINE", "ARC")
+"""What an outline is drawn with in a DXF file."""
+
+
 def read_outline(path: Path, departure: float = 1e-4) -> dict[str, Any]:
     """Keys `outline` and `holes` of a shape from the closed curves of a DXF file in mm: the largest is the outline.
 
     Layers that are off or frozen are left out. departure: of chords from round curves, over the size of the drawing.
-    InputError without ezdxf, for no such file, another unit, no curves, and curves that are not closed.
+    InputError without ezdxf, for no such file, another unit, no curves, curves that are not closed, and those of
+    blocks, which may be posts or the frame of the sheet.
     """
     require("ezdxf", "cad", "a DXF outline", "give its corners as outline")
+    import ezdxf.disassemble
     import ezdxf.path
 
     try:
         drawing = ezdxf.readfile(path)
         hidden = {layer.dxf.name.lower() for layer in drawing.layers if layer.is_off() or layer.is_frozen()}
-        drawn = drawing.modelspace().query("LWPOLYLINE POLYLINE CIRCLE ELLIPSE SPLINE LINE ARC")
-        ways = [ezdxf.path.make_path(one) for one in drawn if one.dxf.layer.lower() not in hidden]
+        drawn = [one for one in drawing.modelspace() if one.dxf.layer.lower() not in hidden]
+        for block in (one for one in drawn if one.dxftype() == "INSERT"):
+            if any(part.dxftype() in CURVES for part in ezdxf.disassemble.recursive_decompose([block])):
+                raise ValueError(f"block {block.dxf.name!r} has curves: explode it or turn its layer off")
+        ways = [ezdxf.path.make_path(one) for one in drawn if one.dxftype() in CURVES]
         ways = [way for way in ways if len(way)]
         if gaps := [way.start for way in ways if not way.is_closed]:  # as in the path of a periodic spline
             where = f"({gaps[0].x:g}, {gaps[0].y:g})"
