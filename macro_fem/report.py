@@ -12,7 +12,7 @@ from macro_fem.output.forces import spot_loads
 from macro_fem.output.pictures import plot_line_loads
 from macro_fem.output.weakest import links
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.tables import Bar, EdgeLoad, Wind
+from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, Wind
 from macro_fem.solution import CurtainSolution
 from macro_fem.told import combination_lines, components, order_lines, verdict
 from rve.common import atomic_path, checksum, digits
@@ -173,6 +173,8 @@ def _loads(scene: Scene) -> str:
     loads += [f"bar of {one.mass:g} kg on {one.edge}" for one in scene.of(Bar)]
     for one in scene.of(Wind):
         strength = f"{one.pressure:g} N/m2" if one.speed is None else f"{one.speed:g} m/s"
-        loads.append(f"wind of {strength} along {_vector(one.direction)}")
-    loads += [f"{_vector(one.force)} N at {_vector(one.at)}" for _, one in spot_loads(scene)]
+        loads.append(f"wind of {strength} along {_vector(one.direction)}{' that follows the surface' * one.follows}")
+    for _, one in spot_loads(scene):
+        spread = f" (radius {one.radius:g} mm)" if isinstance(one, PatchLoad) else ""
+        loads.append(f"{_vector(one.force)} N at {_vector(one.at)}{spread}")
     return ", ".join([*loads, *(f"{_vector(one.force)} N/mm on {one.edge}" for one in scene.of(EdgeLoad))])

@@ -220,8 +220,10 @@ def test_the_report_is_two_pages_or_more_where_tables_are_long(tmp_path):
     assert (tmp_path / "flat.dxf").exists()
     summary = json.loads((tmp_path / "o" / "summary.json").read_text())
     assert pd.read_csv(tmp_path / "o" / "order.csv").to_dict("records") == [pytest.approx(summary["order"])]
-    loads = "bar of 2 kg on bottom, wind of 8 m/s along (0, 0, 1), (0.5, 0) N/mm on left"
-    blown = hung(EdgeLoad("left", (0.5, 0.0)), Wind((0.0, 0.0, 1.0), speed=8.0))
+    wind = "wind of 8 m/s along (0, 0, 1) that follows the surface"
+    loads = f"bar of 2 kg on bottom, {wind}, (0, -9) N at (50, 40) (radius 8 mm), (0.5, 0) N/mm on left"
+    thrust = macro_fem.PatchLoad((50.0, 40.0), 8.0, (0.0, -9.0))
+    blown = hung(EdgeLoad("left", (0.5, 0.0)), Wind((0.0, 0.0, 1.0), speed=8.0, follows=True), thrust)
     assert [_loads(one) for one in (blown, replace(blown, load=Load(gravity=0.0)))] == [f"weight, {loads}", loads]
     heads = [head for head, *_ in _sections(summary, []) if head.startswith(("What gives", "Forces of supports"))]
     assert ["without partial factors" in head for head in heads] == [True, True]
