@@ -22,14 +22,14 @@ from macro_fem.output.pictures import Pictures
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.scene.scene import Scene
 from rve.common import Array, InputError, check_belongs, csv_text, read_json_object, tell
-from rve.common.drawing.page import write_page
+from rve.common.drawing.page import write_moments
 from rve.common.drawing.space import save_animation
 from rve.common.files import atomic_path, job, versions, write_text
 from rve.common.meshes import write_mesh_file
 
 KEPT = "motion.npz"
 MOST_SHOWN, PANELS, IMAGES = 200, 4, 48
-"""Moments at most in the series of VTUs, in motion.png, and in motion.gif."""
+"""Moments at most in the series of VTUs, in motion.png, and in motion.gif and motion.html."""
 IMPULSES = (
     "rings that lock do so by impulses: forces and line loads are those over each step divided by its length, and grow "
     'with shorter steps where something is struck; kind = "elastic" under [solver] gives forces'
@@ -80,14 +80,14 @@ def chosen(frames: Sequence[Frame], most: int) -> list[Any]:
 
 
 def _write_pictures(folder: Path, mover: AnyMover, frames: Sequence[Frame], wanted: Pictures) -> None:
-    """motion.png, motion.gif and motion.html of the end, as far as they are wanted; motion.mp4 if there is ffmpeg."""
+    """motion.png, motion.html and motion.gif, as far as they are wanted; motion.mp4 where ffmpeg is installed."""
+    some = chosen(frames, IMAGES)
     if wanted.picture:
         mover.draw_panels(folder / "motion.png", chosen(frames, PANELS))
     if wanted.html:
-        at, plotter = next(iter(mover.drawn(frames[-1:])))
-        write_page(folder / "motion.html", lambda: plotter, f"{mover.scene.source.stem}, {at}")
+        write_moments(folder / "motion.html", mover.drawn(some), mover.scene.source.stem)
     if wanted.animation:
-        save_animation(folder / "motion.gif", mover.figures(chosen(frames, IMAGES)))
+        save_animation(folder / "motion.gif", mover.figures(some))
         if ffmpeg := shutil.which("ffmpeg"):
             even = "scale=trunc(iw/2)*2:trunc(ih/2)*2,format=yuv420p"  # what every player shows
             words = (ffmpeg, "-v", "quiet", "-i", folder / "motion.gif", "-vf", even, folder / "motion.mp4")

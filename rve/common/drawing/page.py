@@ -5,7 +5,7 @@ Hovering shows numbers, a click on the legend hides a part. The script is 5 MB o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -43,12 +43,41 @@ def check_page(purpose: str, instead: str = "ask for none") -> None:
 def write_page(path: AnyPath, draw: Callable[[], Plotter], title: str) -> None:
     """Write what is drawn beneath a title as one HTML file, atomically; InputError, before, if plotly is missing."""
     check_page(str(path))
+    write_moments(path, [("", draw())], title)
+
+
+def write_moments(path: AnyPath, moments: Iterable[tuple[str, Plotter]], title: str) -> None:
+    """Write what a plotter shows at several moments, each with its name, as one HTML file with a slider, atomically.
+
+    The plotter may be the same one, drawn anew for each moment. InputError if plotly is missing.
+    """
+    check_page(str(path))
     import plotly.graph_objects as go
 
-    tell(f"writing {Path(path).name}")
-    plotter, shown = draw(), escape(title, quote=False)
-    figure = go.Figure([*_traces(plotter)], layout=LAYOUT | {"legend": LEGEND, "scene": _scene(plotter)})
-    figure.update_layout(title={"text": shown.replace("\n", "<br>"), "x": 0.01})
+    figure, words, bounds = go.Figure(layout=LAYOUT), list[str](), []
+    owner: list[int] = []  # moment of each trace
+    scene: dict[str, Any] = {}
+    for word, plotter in moments:
+        tell(f"writing {Path(path).name}{f', {word}' if word else ''}")
+        for trace in _traces(plotter):
+            figure.add_trace(trace | {"visible": not words})
+            owner.append(len(words))
+        words.append(word)
+        bounds.append(np.reshape(plotter.renderers[0].bounds, (3, 2)))
+        scene = scene or _scene(plotter)
+    low, high = np.min(bounds, axis=0)[:, 0], np.max(bounds, axis=0)[:, 1]
+    room = 0.02 * float((high - low).max())  # plotly cuts off what lies on the end of an axis, as a ground does
+    for own, k in zip("xyz", AXES, strict=True):
+        scene[f"{own}axis"]["range"] = [low[k] - room, high[k] + room]
+    steps = [
+        {"label": word, "method": "restyle", "args": [{"visible": [number == one for one in owner]}]}
+        for number, word in enumerate(words)
+    ]
+    if len(steps) > 1:
+        figure.update_layout(sliders=[{"steps": steps, "pad": {"l": 20, "r": 20, "b": 10}}])
+    shown = escape(title, quote=False)
+    figure.update_layout(title={"text": shown.replace("\n", "<br>"), "x": 0.01}, legend=LEGEND)
+    figure.update_layout(scene=scene | {"domain": {"x": [0.0, RIGHT]}})
     settings = {"displaylogo": False, "responsive": True, "scrollZoom": True}
     text = figure.to_html(config=settings, include_plotlyjs=True, full_html=True, default_height="100vh")
     name = shown.replace("\n", " ")
@@ -102,19 +131,14 @@ def _colours(values: Any, scale: Scale, of_lines: bool) -> dict[str, Any]:
 
 def _scene(plotter: Plotter) -> dict[str, Any]:
     renderer = plotter.renderers[0]
-    low, high = np.reshape(renderer.bounds, (3, 2)).T
-    room = 0.02 * float((high - low).max())  # plotly cuts off what lies on the end of an axis, as a ground does
-    sides = np.maximum(high - low, 1e-12)
+    sides = np.maximum(np.ptp(np.reshape(renderer.bounds, (3, 2)), axis=1), 1e-12)
     sides = np.maximum(sides, 1e-3 * sides.max())
     eye = np.array(renderer.camera.position) - np.array(renderer.camera.focal_point)
     eye *= 1.35 * np.linalg.norm(sides) / sides.prod() ** (1.0 / 3.0) / np.linalg.norm(eye)  # in plotly's unit
     axis = {"showbackground": False, "zeroline": False, "gridcolor": "#e3e6ea", "showspikes": False}
-    scene: dict[str, Any] = {
+    return {
         "aspectmode": "data",
-        "domain": {"x": [0.0, RIGHT]},
         "dragmode": "turntable",
         "camera": {"up": {"x": 0, "y": 0, "z": 1}, "eye": dict(zip("xyz", eye[AXES].tolist(), strict=True))},
+        **{f"{own}axis": axis | {"title": {"text": f"{'xyz'[k]}, mm"}} for own, k in zip("xyz", AXES, strict=True)},
     }
-    for own, k in zip("xyz", AXES, strict=True):
-        scene[f"{own}axis"] = axis | {"title": {"text": f"{'xyz'[k]}, mm"}, "range": [low[k] - room, high[k] + room]}
-    return scene
