@@ -157,7 +157,7 @@ def modes(scene: Path, law_path: Path | None, number: int, out: Path, picture: b
 )
 @sweep_options
 @click.argument("arguments", nargs=-1, type=click.UNPROCESSED, required=True, metavar="SCENE... [OPTIONS OF run]")
-def sweep(out: Path, arguments: tuple[str, ...], jobs: int) -> None:
+def sweep(out: Path, arguments: tuple[str, ...], **workers: Any) -> None:
     """Solve every SCENE into a folder of its name, and write sweep.csv beside them.
 
     The same command again runs only what is not finished. Exit code 1 if a scene failed: sweep.csv says why.
@@ -175,7 +175,7 @@ def sweep(out: Path, arguments: tuple[str, ...], jobs: int) -> None:
     def columns(record: dict[str, Any]) -> dict[str, Any]:
         return {name: record.get(name, "") for name in COLUMNS}
 
-    first = out / run_sweep(items, out, columns, jobs)[0]["name"]
+    first = out / run_sweep(items, out, columns, **workers)[0]["name"]
     _say_next_of_curtain(first, read_json_object(first / "summary.json"))
 
 

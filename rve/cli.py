@@ -216,13 +216,13 @@ def support_command(load: str, branches: Any, reference: Any, **cell: Any) -> No
 @click.option("--weave", default="4-in-1", show_default=True, help=f"Weaves, with commas: {', '.join(WEAVE_NAMES)}.")
 @grain_option
 @click.argument("further", nargs=-1, type=click.UNPROCESSED)
-def sweep(out: Path, r1: str, r2: str, weave: str, grain: str, further: tuple[str, ...], jobs: int) -> None:
+def sweep(out: Path, r1: str, r2: str, weave: str, grain: str, further: tuple[str, ...], **workers: Any) -> None:
     """Write one table for each weave, r1 and r2, and sweep.csv beside them. FURTHER: options of `rve table`.
 
     The same command again runs only what is not finished. Exit code 1 if a table failed: sweep.csv says why.
     """
     items = table_items(out, numbers_of(r1, "--r1"), numbers_of(r2, "--r2"), weave.split(","), grain, further)
-    finished = run_sweep(items, out, table_columns, jobs)
+    finished = run_sweep(items, out, table_columns, **workers)
     if finished[0]["rows_converged"] < FIT_FROM:
         return
     first = out / f"{finished[0]['name']}.csv"

@@ -32,6 +32,8 @@ rve case --alpha 0 --beta 45 --plot case.xyz -> xyz
 rve support --S 1,0 -> --S
 rve support --S 1,0,-1 -> has the eigenvalue -1
 rve support --S 1,0,0 --branches none -> 'none' is not one of
+rve sweep --out tables --r1 5 --r2 0.5 --cluster tcp://127.0.0.1:9 -> no Dask scheduler answers there
+rve sweep --out tables --r1 5 --r2 0.5 --cluster x --jobs 2 -> two ways to run a sweep
 rve sweep --out tables --r1 5 --r2 0.5,0.50 -> 2 items of the sweep are called so
 homogenize strain law.json --alpha nan --beta 3 -> --alpha nan
 homogenize strain law.json --alpha 10 --beta -5 -> push
@@ -96,6 +98,7 @@ def folder(tmp_path_factory):
 
 @pytest.mark.parametrize(("command", "sentence"), ROWS, ids=[command for command, _ in ROWS])
 def test_what_makes_no_sense_is_one_sentence(command, sentence, folder, monkeypatch):
+    monkeypatch.setattr("rve.common.commands.sweeps.CONNECT_S", 0.5)
     monkeypatch.chdir(folder)
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     message = (

@@ -20,7 +20,7 @@ from macro_fem.cli import main as macro_fem
 from rve.cli import main as rve
 from rve.cli import table_items
 from rve.common import heard_by
-from rve.common.commands.sweeps import SweepItem, _end_with_parent, run_item, sweep
+from rve.common.commands.sweeps import Ended, SweepItem, _end_with_parent, run_item, sweep
 from tests.squares import write_square
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -159,6 +159,27 @@ def test_an_idle_worker_that_is_stopped_says_nothing(capfd):
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.slow
+def test_a_cluster_that_loses_a_worker_half_way_gives_the_same_tables(tmp_path, single):
+    import distributed
+
+    items = table_items(tmp_path, [5.0], [0.5, 1.0, 0.6, 0.7, 0.8, 0.9], ["4-in-1"], "y", GRID)
+    killed = []
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+
+        def listen(work):
+            if not killed and "1 of 6" in work:
+                killed.append(cluster.workers[1].pid)
+                os.kill(killed[0], signal.SIGKILL)
+
+        with heard_by(listen):
+            ended = sweep(items, tmp_path, cluster=cluster.scheduler_address)
+    assert killed
+    assert [how.code for how in ended] == [0] * len(items)
+    for name, content in single.items():
+        assert (tmp_path / name).read_bytes() == content
+
+
 def test_a_sweep_that_loses_its_processes_keeps_what_is_finished_and_says_what_is_not(tmp_path):
     items = table_items(tmp_path, [5.0], [0.5, 1.0, 0.6, 0.7], ["4-in-1"], "y", GRID)
 
@@ -170,12 +191,18 @@ def test_a_sweep_that_loses_its_processes_keeps_what_is_finished_and_says_what_i
         ended = sweep(items, tmp_path, jobs=2)
     lost = [how for how in ended if how.code]
     assert 0 < len(lost) < 4
-    assert all("process" in how.message and "goes on" in how.message for how in lost)
+    assert all("worker" in how.message and "goes on" in how.message for how in lost)
     assert [how.code for how in sweep(items, tmp_path)] == [0] * 4
 
 
-def test_a_fault_beside_the_commands_fails_its_items_by_name(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("done", "words"),
+    [(lambda item: 1 / 0, "ZeroDivisionError: division by zero"), (lambda item: Ended(0, ""), "workers must see")],
+)
+def test_a_fault_beside_the_commands_fails_its_items_by_name(tmp_path, monkeypatch, done, words):
+    """As does a record that is written to the disk of another machine."""
     monkeypatch.setattr("rve.common.commands.sweeps.ProcessPoolExecutor", lambda *_, **how: ThreadPoolExecutor(1))
-    monkeypatch.setattr("rve.common.commands.sweeps.run_item", lambda item: 1 / 0)
+    monkeypatch.setattr("rve.common.commands.sweeps.run_item", done)
     (how,) = sweep(table_items(tmp_path, [5.0], [0.5], ["4-in-1"], "y", GRID), tmp_path, jobs=2)
-    assert (how.code, "ZeroDivisionError: division by zero" in how.message) == (1, True)
+    assert (how.code, words in how.message) == (1, True)
+    assert not list(tmp_path.glob(".sweep/*.json"))

@@ -1,8 +1,8 @@
-"""One command run for many inputs, in processes side by side.
+"""One command run for many inputs, in processes side by side or on the workers of a Dask scheduler.
 
 Each item is a command as a user would type it, with a record that it writes. A finished item is kept in a cache with
 the checksums of all files that it has read and written; the same sweep started again runs only the others. Items do not
-depend on each other, so that files are the same to the bit for any number of processes, and after one was killed.
+depend on each other, so that files are the same to the bit for any number of workers, and after one was killed.
 """
 
 import io
@@ -11,7 +11,7 @@ import signal
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -22,14 +22,17 @@ from typing import Any
 import click
 
 from rve.common.commands.command_line import answer, ending, options, say
-from rve.common.errors import InputError, noted_if_stopped
+from rve.common.errors import InputError, noted_if_stopped, require
 from rve.common.files import Cache, checksum, versions, write_text
 from rve.common.progress import tell
 from rve.common.texts import csv_text, read_json_object, recorded_reads
 
 MARKS = ".sweep"
 """Folder of what is known of finished items, inside that of the sweep."""
-LOST = "its process was lost, perhaps for lack of memory: the same sweep, with fewer --jobs, goes on"
+RETRIES = 3
+"""How often an item is begun again whose worker on a cluster was lost."""
+CONNECT_S = 10.0
+LOST = "its worker was lost, perhaps for lack of memory: the same sweep, with fewer of them, goes on"
 
 
 @dataclass(frozen=True)
@@ -72,10 +75,12 @@ def run_item(item: SweepItem) -> Ended:
         return Ended(*ending(error))
 
 
-def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1) -> list[Ended]:
-    """How each item ended, in their order; `jobs` processes run them side by side.
+def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1, cluster: str | None = None) -> list[Ended]:
+    """How each item ended, in their order.
 
-    InputError if two items have one name. However it ends, what is finished is kept.
+    jobs: processes on this machine; cluster: address of a Dask scheduler, whose workers see the folder `out` under the
+    same name. InputError if nothing answers there, or two items have one name. However it ends, what is finished is
+    kept.
     """
     for name, count in Counter(item.name for item in items).items():
         if count > 1:
@@ -87,7 +92,8 @@ def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1) -> list[Ended
     left = [item for item in items if item.name not in ended]
     tell(f"sweep, {len(ended)} of {len(items)} done")
     kept = f"what is finished is kept in {out}, and the same command goes on from there"
-    with noted_if_stopped(kept), _processes(min(jobs, len(left) or 1)) as workers:
+    side_by_side = _cluster(cluster) if cluster else _processes(min(jobs, len(left) or 1))
+    with noted_if_stopped(kept), side_by_side as workers:
         futures = {workers.submit(run_item, item): item for item in left}
         for future in as_completed(futures):
             item = futures[future]
@@ -95,6 +101,8 @@ def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1) -> list[Ended
                 how = future.result()
             except Exception as error:
                 how = Ended(1, f"{LOST} ({type(error).__name__}: {' '.join(str(error).split())})")
+            if not how.message and not item.record.exists():  # written to another machine's disk
+                how = Ended(1, f"{item.record} is not there; workers must see its folder under the same name")
             if not how.message:
                 cache.put(item.question, {"code": how.code}, how.files)
             ended[item.name] = how
@@ -103,7 +111,21 @@ def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1) -> list[Ended
 
 
 @contextmanager
-def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
+def _cluster(address: str) -> Iterator[Executor]:
+    """Workers of a Dask scheduler; InputError if none answers."""
+    require("distributed", "cluster", "--cluster", "leave it out")
+    from distributed import Client
+
+    try:
+        client = Client(address, timeout=CONNECT_S)
+    except (OSError, ValueError) as error:
+        raise InputError(f"--cluster = {address}: no Dask scheduler answers there: {error}") from error
+    with client:
+        yield client.get_executor(pure=False, retries=RETRIES)
+
+
+@contextmanager
+def _processes(jobs: int) -> Iterator[Executor]:
     """Worker processes that end with the block, at once where it is left early, and when this process ends."""
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_end_with_parent) as pool:
         try:
@@ -143,23 +165,26 @@ def further_options(words: Sequence[str], given: Sequence[str]) -> list[str]:
 sweep_options = options(
     click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder to fill."),
     click.option("--jobs", type=click.IntRange(1, 1000), default=1, show_default=True, help="Processes side by side."),
+    click.option("--cluster", metavar="ADDRESS", help="Dask scheduler, instead of processes on this machine."),
 )
 """The options of a command that runs a sweep."""
 
 
 def run_sweep(
-    items: Sequence[SweepItem], out: Path, columns: Callable[[Any], dict[str, Any]], jobs: int
+    items: Sequence[SweepItem], out: Path, columns: Callable[[Any], dict[str, Any]], jobs: int, cluster: str | None
 ) -> list[dict[str, Any]]:
     """Runs a sweep, writes sweep.csv, says how it ended and returns its rows; exit code 1 if an item failed.
 
     A row holds name, exit_code, what `columns` takes from the record, and message. Options that the command of an item
     has not are refused before the first one runs.
     """
+    if cluster and jobs > 1:
+        raise InputError("--jobs and --cluster are two ways to run a sweep: give one")
     for item in items:
         command = import_module(f"{item.package}.cli").main.commands[item.arguments[0]]
         command.make_context(f"{item.package} {item.arguments[0]}", list(item.arguments[1:]))
     rows = []
-    for item, ended in zip(items, sweep(items, out, jobs=jobs), strict=True):
+    for item, ended in zip(items, sweep(items, out, jobs=jobs, cluster=cluster), strict=True):
         record = {} if ended.message else read_json_object(item.record)
         rows.append({"name": item.name, "exit_code": ended.code, **columns(record), "message": ended.message})
     names = list(dict.fromkeys(key for row in rows for key in row))
