@@ -174,7 +174,7 @@ def _loads(scene: Scene) -> str:
     for one in scene.of(Wind):
         strength = f"{one.pressure:g} N/m2" if one.speed is None else f"{one.speed:g} m/s"
         loads.append(f"wind of {strength} along {_vector(one.direction)}{' that follows the surface' * one.follows}")
-    for _, one in spot_loads(scene):
-        spread = f" (radius {one.radius:g} mm)" if isinstance(one, PatchLoad) else ""
-        loads.append(f"{_vector(one.force)} N at {_vector(one.at)}{spread}")
+    for _, spot in spot_loads(scene):
+        spread = f" (radius {spot.radius:g} mm)" if isinstance(spot, PatchLoad) else ""
+        loads.append(f"{_vector(spot.force)} N at {_vector(spot.at)}{spread}")
     return ", ".join([*loads, *(f"{_vector(one.force)} N/mm on {one.edge}" for one in scene.of(EdgeLoad))])
