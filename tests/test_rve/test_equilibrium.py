@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.problems import normality
+from rve.common.tensor import double_dot
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.limits import contact_forces, polish
 from rve.equilibrium.steps import accept_step
@@ -284,19 +285,22 @@ def test_the_tolerance_bounds_the_residual_and_decides_when_to_stop():
 
 
 def test_a_limit_that_newton_does_not_confirm_is_no_answer(monkeypatch):
-    """A load along the chain has a limit; where its equilibrium is not confirmed the row has a status and no strain."""
-    assert solve_table(Cell(), ([25.0], [0.0])).status[0] == "converged"
+    """A load along the chain has a limit; where its equilibrium is not confirmed the row has a status and no strain. A
+    table of largest work takes a state that the load leaves free from other rows: on one convex set with the limit."""
+    loads = [25.0, 25.0], [0.0, 30.0]
+    limit = solve_table(Cell(), loads)
 
     def unconfirmed(*args, **rest):
-        found = polish(*args, **rest)
-        return replace(found, R=np.maximum(found.R, 1e-3))
+        return replace(polish(*args, **rest), status=np.full(len(args[2]), "stalled"))
 
     monkeypatch.setattr("rve.equilibrium.limits.polish", unconfirmed)
-    table = solve_table(Cell(), ([25.0, 25.0], [0.0, 30.0]))
-    assert table.status.tolist() == ["no-limit", "converged"]
-    assert table.unique.tolist() == [False, True]
-    assert np.isnan(table.E[0]).all()
-    assert np.isfinite(table.E[1]).all()
+    first, table = solve_table(Cell(), loads, FIRST), solve_table(Cell(), loads)
+    assert [one.status.tolist() for one in (first, table)] == [["no-limit", "converged"], ["converged"] * 2]
+    assert [one.unique.tolist() for one in (limit, first, table)] == [[False, True]] * 3
+    assert np.isnan(first.E[0]).all()
+    assert np.isfinite(first.E[1]).all()
+    for one, other in ((limit, table), (table, limit)):
+        assert (double_dot(one.S, one.E - other.E) > -1e-9).all()
 
 
 def test_locked_strains_have_a_dent_that_no_other_start_removes():
