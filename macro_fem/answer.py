@@ -23,7 +23,7 @@ def read_job(
     """The scene and the law in files, by default that of `default_law`, and all files that are read; InputError for
     what cannot be read, and for a folder `out` that cannot be written into."""
     scene = load_scene(scene_path)
-    inputs = [scene_path, law_path, scene.mesh_file]
+    inputs = [scene_path, law_path, scene.sheet_file]
     check_out_job(out, record, inputs=inputs)
     return scene, default_law() if law_path is None else load_law(law_path), inputs
 

@@ -1,5 +1,6 @@
 """The command line: python -m macro_fem run scene.toml [--law law.json] --out DIR."""
 
+from dataclasses import asdict
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -133,7 +134,7 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
     if out is not None:
         found.save(out, picture=picture)
     say(*filter(None, [found.note]), err=True)
-    answer(found.record, always=True)
+    answer(asdict(found), always=True)
 
 
 @main.command(epilog="Example: macro_fem modes scene.toml --law law.json --number 6 --out modes")

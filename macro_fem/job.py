@@ -160,7 +160,7 @@ def run_scene(
     """
     wanted, scene = Pictures(**files), load_scene(scene_path)
     known = on_demand.known if on_demand and isinstance(on_demand.known, Path) else None
-    inputs = [scene_path, law_path, known, scene.mesh_file]
+    inputs = [scene_path, law_path, known, scene.sheet_file]
     check_out_job(out, RECORD, inputs=inputs)
     wanted.check(scene, inputs)
     law = None if law_path is None else interval_or_law(law_path)

@@ -63,18 +63,15 @@ class Size:
     curve: tuple[Row, ...]
     note: str | None = None
 
-    @property
-    def record(self) -> dict[str, Any]:
-        return asdict(self)
-
     def save(self, folder: str | Path, *, picture: bool = True) -> dict[str, Any]:
         """Write size.json, size.csv and size.png into `folder`; the record."""
-        with job(folder, "size.json", self.record) as staged:
-            rows = self.record["curve"]
+        record = asdict(self)
+        with job(folder, "size.json", record) as staged:
+            rows = record["curve"]
             write_text(staged / "size.csv", csv_text(list(rows[0]), (row.values() for row in rows)))
             if picture:
                 _draw(staged / "size.png", self)
-        return self.record
+        return record
 
 
 def largest_that_holds(

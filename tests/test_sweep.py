@@ -11,17 +11,17 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import active_children, get_context
 from pathlib import Path
 
-import meshio
 import pytest
+import skfem
 from click.testing import CliRunner
 
 from homogenize.io import DEFAULT_LAW
 from macro_fem.cli import main as macro_fem
+from macro_fem.scene.meshing.mesh_files import write_outline
 from rve.cli import main as rve
 from rve.cli import table_items
 from rve.common import heard_by
 from rve.common.commands.sweeps import Ended, SweepItem, _end_with_parent, run_item, sweep
-from tests.squares import write_square
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -97,28 +97,25 @@ def test_scenes_side_by_side(tmp_path):
     assert run(macro_fem, "sweep", scenes[0], "--no-picture", "--out", tmp_path / "moved").exit_code == 0
 
 
-def test_what_was_read_has_changed_and_is_run_again(tmp_path):
-    """A mesh named in a scene, and a law given as --law=FILE."""
+@pytest.mark.parametrize(("shape", "name"), [("file", "mesh.vtu"), ("dxf", "drawing.dxf")])
+def test_what_was_read_has_changed_and_is_run_again(tmp_path, shape, name):
+    def draw(side):
+        square = skfem.MeshTri().refined(2).oriented().scaled(side)
+        write_outline(tmp_path / name, square) if shape == "dxf" else square.save(tmp_path / name)
 
-    def scale(factor):
-        mesh = meshio.read(tmp_path / "mesh.vtu")
-        mesh.points *= factor
-        meshio.vtu.write(tmp_path / "mesh.vtu", mesh)
-
-    write_square(tmp_path / "mesh.vtu")
-    scale(40.0)
-    (tmp_path / "hung.toml").write_text('[curtain]\nshape = "file"\nfile = "mesh.vtu"\n[support]\nkind = "top"\n')
+    draw(120.0)
+    (tmp_path / "hung.toml").write_text(f'[curtain]\nshape = "{shape}"\nfile = "{name}"\n[support]\nkind = "top"\n')
     law = tmp_path / "law.json"
     law.write_bytes(DEFAULT_LAW.read_bytes())
     ask = ("sweep", tmp_path / "hung.toml", "--out", tmp_path / "out", "--no-picture", f"--law={law}")
 
     def mass():
-        found = run(macro_fem, *ask)
-        assert found.exit_code == 0, found.output
+        assert run(macro_fem, *ask).exit_code == 0
         return float(rows_of(tmp_path / "out")[0]["mass_kg"])
 
     first = mass()
-    scale(2.0)
+    assert run(macro_fem, "run", *ask[1:-1], "--dxf", tmp_path / name).exit_code == 2  # what it reads
+    draw(240.0)
     assert mass() == pytest.approx(4.0 * first)
     record = json.loads(law.read_text())
     record["cell"]["areal_mass_kg_per_m2"] *= 2.0

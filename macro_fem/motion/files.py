@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from homogenize import MembraneLaw
+from homogenize import MembraneLaw, strength_of_law
 from macro_fem.answer import RECORD, read_job
 from macro_fem.motion.curtain import MovingCurtain
 from macro_fem.motion.pace import COLUMNS, Frame, Mover, Run
@@ -204,11 +204,11 @@ def read_kept(path: Path, mover: AnyMover, of: str) -> tuple[list[Any], list[Any
 
 
 def _checksum(scene: Scene, law: MembraneLaw, space: bool | None) -> str:
-    """A checksum of the scene without its duration and place, and of what answers: a law, or its rings, in space or
-    not."""
+    """A checksum of the scene without its duration and place, and of the law, or its rings in space or not."""
     assert scene.motion is not None
     told = replace(scene, motion=replace(scene.motion, duration=1e6), source=Path())
     times = [(getattr(item, "history", ()), getattr(item, "release", None)) for item in scene.items]  # not in a repr
-    mesh = scene.mesh_file.read_bytes() if scene.mesh_file else b""
+    mesh = scene.sheet_file.read_bytes() if scene.sheet_file else b""
     probe = law.support(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.3, 2.0]]))
-    return hashlib.sha256(f"{told!r} {times} {space} {law.cell!r} {probe.tolist()}".encode() + mesh).hexdigest()
+    rings = law.cell, probe.tolist(), law.elastic().compliance.tolist(), strength_of_law(law)
+    return hashlib.sha256(f"{told!r} {times} {space} {rings}".encode() + mesh).hexdigest()

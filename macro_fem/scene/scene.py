@@ -49,6 +49,7 @@ class Scene:
     material: tuple[tuple[str, Any], ...] = ()
     combination: tuple[Combination, ...] = ()
     source: Path = Path("scene")
+    drawing: str | None = None
 
     def __post_init__(self) -> None:
         """Check the material; InputError for items that are none."""
@@ -97,9 +98,10 @@ class Scene:
         return "[solver] space = true asks for it" if self.solver.space else ""
 
     @property
-    def mesh_file(self) -> Path | None:
-        """The file of the mesh, if it is from one."""
-        return self.source.parent / self.curtain.file if isinstance(self.curtain, MeshFile) else None
+    def sheet_file(self) -> Path | None:
+        """The file of the mesh or of its outline, if it is from one."""
+        name = self.curtain.file if isinstance(self.curtain, MeshFile) else self.drawing
+        return None if name is None else self.source.parent / name
 
     @property
     def d(self) -> int:
@@ -169,9 +171,9 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     for key in ("cells", "pattern"):
         if isinstance(shape, MeshFile) and key in data.get("mesh", {}):
             raise InputError(f'{source}: [mesh] {key} = {data["mesh"][key]!r}: has no effect with shape = "file"')
-    material = described(data.get("material", {}), f"{source}: [material]")
-    combinations = read_records(data.get("combination", []), Combination, f"{source}: [combination]")
-    scene = Scene(shape, tuple(items), **parts, material=material, combination=tuple(combinations), source=Path(source))
+    parts["material"] = described(data.get("material", {}), f"{source}: [material]")
+    parts["combination"] = tuple(read_records(data.get("combination", []), Combination, f"{source}: [combination]"))
+    scene = Scene(shape, tuple(items), **parts, source=Path(source), drawing=data["curtain"].get("file"))
     check_scene(scene)
     return scene
 

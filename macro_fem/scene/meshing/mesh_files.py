@@ -14,6 +14,7 @@ from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import MOST_MM
 from rve.common import Array, InputError, atomic_path, require, shown
 from rve.common.meshes import read_mesh_file
+from rve.common.texts import read_bytes
 
 
 def read_mesh(curtain: MeshFile, source: Path) -> tuple[Any, dict[str, np.ndarray]]:
@@ -122,6 +123,7 @@ def read_outline(path: Path, departure: float = 1e-4) -> dict[str, Any]:
     import ezdxf.disassemble
     import ezdxf.path
 
+    read_bytes(path)  # a name that is no file is told first, and a sweep sees what it has read
     try:
         drawing = ezdxf.readfile(path)
         hidden = {layer.dxf.name.lower() for layer in drawing.layers if layer.is_off() or layer.is_frozen()}

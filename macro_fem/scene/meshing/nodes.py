@@ -30,7 +30,6 @@ TOUCH = 1e-3
 NEAR_BEND = 0.25
 """Nodes of a bent boundary move along it by at most this part of a facet, which changes the shape a little."""
 
-
 RIM = ""
 """The name of the line of all boundary facets; edges have longer ones."""
 
