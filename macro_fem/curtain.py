@@ -15,7 +15,7 @@ import numpy as np
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.problem import CurtainProblem, gathered_start, stabilising_tension
 from macro_fem.scene.meshing.mesh import components
-from macro_fem.scene.supports import told
+from macro_fem.scene.supports import check_pins
 from macro_fem.shape_loop import solve_shape
 from macro_fem.solution import CurtainSolution, InnerForces, slackened
 from macro_fem.solvers.central_path import solve_path
@@ -90,14 +90,8 @@ def held_in_place(found: CurtainSolution) -> CurtainSolution:
     problem, pins = found.problem, found.problem.supports.pins
     if not len(pins.nodes) or found.status not in ("converged", "taut"):
         return found
-    forces = pins.along(found.unbalanced)
-    worst = int(np.abs(forces).argmax())
-    if abs(forces[worst]) > found.noise:
-        table = "obstacle" if problem.scene.obstacle else "load.wind" if problem.winds else "load"
-        raise InputError(
-            f"{problem.scene.source}: [{table}]: nothing carries the force of {-forces[worst]:.6g} N along "
-            f"{told(pins.direction[worst])}, in which the supports let the curtain slide: hold it there"
-        )
+    table = "obstacle" if problem.scene.obstacle else "load.wind" if problem.winds else "load"
+    check_pins(pins, found.unbalanced, found.noise, problem.scene, table)
     return found
 
 

@@ -131,9 +131,10 @@ class MovingRings(Mover[RingFrame, RingScene]):
         none = np.zeros((len(mass) - n, 3))
         resist = np.where(np.arange(len(mass)) < 2 * n, self.motion.damping, 0.0)  # not of balls
         step = TimeStep(now, before, h, mass, dead, np.concatenate([force - dead[:n], none]), None, resist)
-        damped = step.beta_h * resist[:, None]
-        weight = mass * (1.0 + damped[:, 0]) / step.beta_h**2
-        aim = (step.x_hat + damped * step.X) / (1.0 + damped)
+        beta_h, X, _ = step.differences
+        damped = beta_h * resist[:, None]
+        weight = mass * (1.0 + damped[:, 0]) / beta_h**2
+        aim = (step.x_hat + damped * X) / (1.0 + damped)
         end = step_rings(frame.rings, weight, aim, force, asked.held, asked.at, walls=(*asked.walls, *self.bodies))
         rings = end.rings
         if rings.status == "converged":

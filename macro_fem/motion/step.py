@@ -32,6 +32,7 @@ Every term comes from its own formula, so their sum closes only as far as the st
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -97,10 +98,10 @@ class StepEnd:
     touched: float = 0.0
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class TimeStep:
     """A step of h s from `now` of nodes of masses (n,) in N s2/mm under forces (n, d) in N at its end: Euler's without
-    a moment before, else BDF2's. beta_h in s, X (n, d) in mm and V (n, d) in mm/s are its differences, see above.
+    a moment before, else BDF2's.
 
     dead: weight; live: other loads that do not depend on the velocity. drag: symmetric blocks C (n, d, d) in N s/mm of
     forces -C v that belong to `live`; damping (n,) or one for all: 1/s, of forces -damping M v.
@@ -119,20 +120,22 @@ class TimeStep:
     drag: Array | None = None
     damping: Array | float = 0.0
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def differences(self) -> tuple[float, Array, Array]:
+        """beta h in s, X (n, d) in mm and V (n, d) in mm/s, see above."""
         now, before = self.now, self.before
-        self.beta_h, self.X, self.V = self.h, now.x, now.v
-        if before is not None:
-            w = self.h / (now.t - before.t)
-            beta = (1.0 + w) / (1.0 + 2.0 * w)
-            own, old = beta * (1.0 + w), beta * w * w / (1.0 + w)
-            self.beta_h = beta * self.h
-            self.X, self.V = own * now.x - old * before.x, own * now.v - old * before.v
+        if before is None:
+            return self.h, now.x, now.v
+        w = self.h / (now.t - before.t)
+        beta = (1.0 + w) / (1.0 + 2.0 * w)
+        own, old = beta * (1.0 + w), beta * w * w / (1.0 + w)
+        return beta * self.h, own * now.x - old * before.x, own * now.v - old * before.v
 
     @property
     def x_hat(self) -> Array:
         """X + beta h V (n, d): where nodes would go without forces, mm."""
-        return self.X + self.beta_h * self.V
+        beta_h, X, V = self.differences
+        return X + beta_h * V
 
     def live_at(self, v: Array) -> Array:
         """Forces (n, d) beside the weight and damping at velocities v (n, d), N."""
@@ -140,7 +143,8 @@ class TimeStep:
 
     def velocity(self, x: Array) -> Array:
         """v+ (n, d) of positions x (n, d), mm/s."""
-        return (x - self.X) / self.beta_h
+        beta_h, X, _ = self.differences
+        return (x - X) / beta_h
 
     @property
     def resist(self) -> Array:
@@ -149,7 +153,7 @@ class TimeStep:
 
     def momentum_rate(self, x: Array) -> Array:
         """M a+ (n, d) of positions x (n, d), N."""
-        return self.mass[:, None] * (x - self.x_hat) / self.beta_h**2
+        return self.mass[:, None] * (x - self.x_hat) / self.differences[0] ** 2
 
     def unbalanced(self, x: Array) -> Array:
         """M a+ and damping less loads (n, d) at positions x (n, d), N: what supports, contacts and the law make up."""
@@ -158,15 +162,16 @@ class TimeStep:
 
     def inertia(self, fem: SupportedFem) -> Inertia:
         """The quadratic term: W x_hat = M (X + beta h V) / (beta h)^2 + (damping M + C) X / (beta h)."""
-        d, m, b = self.X.shape[1], self.mass[:, None] / self.beta_h**2, 1.0 / self.beta_h
+        beta_h, X, V = self.differences
+        d, m, b = X.shape[1], self.mass[:, None] / beta_h**2, 1.0 / beta_h
         resist = b * self.resist[:, :, None] * np.eye(d)
         if self.drag is not None:
             resist = resist + b * self.drag
         W = m[:, :, None] * np.eye(d) + resist
-        aim = m * self.x_hat + times(resist, self.X)
+        aim = m * self.x_hat + times(resist, X)
         x_hat: Array = np.linalg.solve(W, aim[:, :, None])[:, :, 0].astype(float)
-        momentum = b * float((self.mass[:, None] * np.abs(self.V)).sum())
-        return Inertia(fem, W, x_hat, momentum, kinetic_energy(self.mass, self.V))
+        momentum = b * float((self.mass[:, None] * np.abs(V)).sum())
+        return Inertia(fem, W, x_hat, momentum, kinetic_energy(self.mass, V))
 
     def finish(self, last: Account, end: StepEnd) -> dict[str, Any]:
         """Of a frame the moment, the account and the rebound, given the account at the start of the step.

@@ -22,7 +22,7 @@ from macro_fem.scene.obstacles import Body
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.sites import Sliding, edge_nodes
-from macro_fem.scene.supports import build_supports, pin_sliding, told
+from macro_fem.scene.supports import build_supports, check_pins, pin_sliding
 from macro_fem.scene.tables import Bar, Wind, in_3d
 from macro_fem.solution import CurtainSolution
 from rve import Cell, FiniteMesh, FiniteOptions, FiniteSolution, HalfSpace, cell_of_sides, solve_table
@@ -87,13 +87,8 @@ class RingScene:
             raise InputError(f"{scene.source}: {error}") from error
         if not len(pins.nodes):
             return found
-        forces = pins.along(found.reaction)
-        worst = int(np.abs(np.nan_to_num(forces)).argmax())
-        if found.status == "converged" and abs(forces[worst]) > SLIDES * np.abs(self.force).sum():
-            scene.refuse(
-                f"[obstacle]: nothing carries the force of {-forces[worst]:.6g} N along {told(pins.direction[worst])}, "
-                "in which the supports let the rings slide: hold them there"
-            )
+        noise = SLIDES * float(np.abs(self.force).sum()) if found.status == "converged" else np.inf
+        forces = check_pins(pins, found.reaction, noise, scene, "obstacle")
         reaction = found.reaction.copy()
         reaction[pins.nodes] -= forces[:, None] * pins.direction  # pins carry no force
         return replace(found, reaction=reaction)
@@ -126,8 +121,8 @@ def ring_scene(scene: Scene, rings: Cell | MembraneLaw | None = None, *, at_rest
         scene.refuse("[motion]: is for rings over time, use macro_fem rings or MovingRings")
     if any(wind.follows for wind in scene.of(Wind)):
         scene.refuse("follows = true of [load.wind]: is not for every ring")
-    for body in scene.of(Body):
-        scene.refuse(f"[obstacle] {body.name}: rings stay out of floors and walls, of nothing else")
+    if bodies := scene.of(Body):
+        scene.refuse(f"[obstacle] {bodies[0].name}: rings stay out of floors and walls, of nothing else")
     check_sizes(scene, info.r1_mm)
     mesh = _finite_mesh(_in_whole_cells(scene, info)[0], info)
     return with_loads(scene, info, mesh, None if at_rest else frozenset())

@@ -121,8 +121,8 @@ def check_bounds(scene: Scene, by: str) -> None:
         scene.refuse(f"{by} need rings that lock, [solver] kind = 'rigid' or 'auto', not 'elastic'")
     if any(wind.follows for wind in scene.of(Wind)):
         scene.refuse(f"{by} do not go with following pressure, no dead load")
-    for body in scene.of(Body):
-        scene.refuse(f"{by} do not go with {body.name}: outside a body the problem is not convex")
+    if bodies := scene.of(Body):
+        scene.refuse(f"{by} do not go with {bodies[0].name}: outside a body the problem is not convex")
     if scene.mesh.element != "P1":
         scene.refuse(f"{by} need element = 'P1', not {scene.mesh.element!r}")
 

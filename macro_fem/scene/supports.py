@@ -161,6 +161,18 @@ def pin_sliding(supports: Supports, disc: Discretization, force: Array, scene: S
     return replace(supports, pins=Sliding(np.array(nodes, np.int64), np.array(ways, float).reshape(-1, d)))
 
 
+def check_pins(pins: Sliding, force: Array, noise: float, scene: Scene, table: str) -> Array:
+    """The forces (m,) in N that pins bear of nodal ones (n, d); InputError naming a table if one exceeds `noise`."""
+    forces = pins.along(force)
+    worst = int(np.abs(np.nan_to_num(forces)).argmax())
+    if abs(forces[worst]) > noise:
+        scene.refuse(
+            f"[{table}]: nothing carries the force of {-forces[worst]:.6g} N along {told(pins.direction[worst])}, "
+            "in which the supports let the curtain slide: hold it there"
+        )
+    return forces
+
+
 def told(way: Array) -> str:
     """A direction in words: the letter of an axis, else its components."""
     return str(np.round(way, 6).tolist()) if sloping(way) else "xyz"[int(np.argmax(np.abs(way)))]

@@ -195,7 +195,7 @@ def test_an_answer_of_a_step_has_a_gap_and_no_better_neighbour():
     assert 0.0 <= result.evidence.gap < 1e-8
 
     def value(x):
-        return 0.5 * float((moving.mass[:, None] * (x - step.x_hat) ** 2).sum()) / step.beta_h**2
+        return 0.5 * float((moving.mass[:, None] * (x - step.x_hat) ** 2).sum()) / step.differences[0] ** 2
 
     better = 0
     for _ in range(200):
