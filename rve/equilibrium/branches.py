@@ -135,10 +135,16 @@ def _fill(rows: RowStates, status: NDArray[np.str_], s: Array, known: KnownState
     left = np.flatnonzero(np.isin(status, ("stalled", "no-limit")))
     if not len(left):
         return rows
-    states = rows.states(mesh).join([known])
-    mixtures = [best_mixture(each, states.E, mesh) for each in s[left]]
-    pose = states.pose.take(np.array([members[0] for members, _ in mixtures]))
-    return rows.put(left, RowStates.undecided(mesh, pose, np.array([S for _, S in mixtures])))
+    _, lead, S = _best_mixtures(s[left], rows.states(mesh).join([known]), mesh)
+    return rows.put(left, RowStates.undecided(mesh, lead, S))
+
+
+def _best_mixtures(
+    s: Array, states: KnownStates, mesh: LoadedCell, detours: int = 0
+) -> tuple[list[list[int]], Pose, Array]:
+    """`best_mixture` of known states for each Cauchy load s (n, 3): states, pose of the largest share, and S (n, 3)."""
+    mixtures, S = zip(*(best_mixture(each, states.E, mesh, detours) for each in s), strict=True)
+    return list(mixtures), states.pose.take(np.array([members[0] for members in mixtures])), np.array(S)
 
 
 def _further_states(rows: RowStates, mesh: LoadedCell) -> KnownStates:
@@ -186,13 +192,12 @@ def _solve_from_rivals(
     the states of the mixture coexist, if they can be brought to the same work. Else it goes on from the new state.
     """
     old, s = rows.E[bad], s[bad]
-    mixtures, loads = zip(*(best_mixture(each, known.E, mesh, detours) for each in s), strict=True)
-    lead = known.pose.take(np.array([one[0] for one in mixtures]))
+    mixtures, lead, S = _best_mixtures(s, known, mesh, detours)
 
     def climbing(new: Equilibrium) -> tuple[Flags, Array, Flags]:
-        E, S, got = strain_of(new.pose, mesh.sides), np.ones((len(bad), 3)), new.status == "converged"
-        S[got] = mesh.conjugate(E[got], s[got])
-        return got, E, got & (_missing_work(S, E, known) <= GAIN)
+        E, own, got = strain_of(new.pose, mesh.sides), np.ones((len(bad), 3)), new.status == "converged"
+        own[got] = mesh.conjugate(E[got], s[got])
+        return got, E, got & (_missing_work(own, E, known) <= GAIN)
 
     new = restart(s, mesh.cauchy, lead, MARGINS[0], mesh.options)
     got, E, climbs = climbing(new)
@@ -213,7 +218,7 @@ def _solve_from_rivals(
     rows = rows.put(bad[ok], replace(some, S=S_star[fine]))
     fresh = np.flatnonzero(got[left] & (np.abs(E[left] - old[left]).max(axis=1) > MOVED))
     pose = lead.take(left).put(fresh, new.pose.take(left[fresh]))
-    rows = rows.put(bad[left], RowStates.undecided(mesh, pose, np.array(loads)[left]))
+    rows = rows.put(bad[left], RowStates.undecided(mesh, pose, S[left]))
     keep = np.sort(np.concatenate([pick, ok]))
     return rows, new.put(ok, both.take(fine)).take(keep), bad[keep], more
 
