@@ -88,10 +88,9 @@ def _unsolved(problem: CurtainProblem, stop: str) -> PathResult:
 def held_in_place(found: CurtainSolution) -> CurtainSolution:
     """The curtain; InputError if obstacles or wind push it along a direction in which nothing but a pin holds it."""
     problem, pins = found.problem, found.problem.supports.pins
-    if not len(pins.nodes) or found.status not in ("converged", "taut"):
-        return found
-    table = "obstacle" if problem.scene.obstacle else "load.wind" if problem.winds else "load"
-    check_pins(pins, found.unbalanced, found.noise, problem.scene, table)
+    if len(pins.nodes) and found.status in ("converged", "taut"):
+        table = "obstacle" if problem.scene.obstacle else "load.wind" if problem.winds else "load"
+        check_pins(pins, found.unbalanced, found.noise, problem.scene, table)
     return found
 
 

@@ -85,8 +85,6 @@ class RingScene:
             )
         except InputError as error:
             raise InputError(f"{scene.source}: {error}") from error
-        if not len(pins.nodes):
-            return found
         noise = SLIDES * float(np.abs(self.force).sum()) if found.status == "converged" else np.inf
         forces = check_pins(pins, found.reaction, noise, scene, "obstacle")
         reaction = found.reaction.copy()

@@ -164,8 +164,8 @@ def pin_sliding(supports: Supports, disc: Discretization, force: Array, scene: S
 def check_pins(pins: Sliding, force: Array, noise: float, scene: Scene, table: str) -> Array:
     """The forces (m,) in N that pins bear of nodal ones (n, d); InputError naming a table if one exceeds `noise`."""
     forces = pins.along(force)
-    worst = int(np.abs(np.nan_to_num(forces)).argmax())
-    if abs(forces[worst]) > noise:
+    if np.abs(forces).max(initial=0.0) > noise:
+        worst = int(np.abs(forces).argmax())
         scene.refuse(
             f"[{table}]: nothing carries the force of {-forces[worst]:.6g} N along {told(pins.direction[worst])}, "
             "in which the supports let the curtain slide: hold it there"

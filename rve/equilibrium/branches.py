@@ -88,7 +88,10 @@ def largest_rows(
         return rows, found, changed, left, rows.states(mesh)
     is_larger = mesh.cauchy.weave.is_larger
     known = _further_states(rows, mesh) if is_larger else _dead_states(rows, mesh)
-    rows = _fill(rows, found.status, s, known, mesh)
+    stalled = np.flatnonzero(np.isin(found.status, ("stalled", "no-limit")))
+    if len(stalled):  # on their way from a known state
+        _, lead, S = _best_mixtures(s[stalled], rows.states(mesh).join([known]), mesh)
+        rows = rows.put(stalled, RowStates.undecided(mesh, lead, S))
     for count in range(ROUNDS):
         detours = DETOURS if count >= STUCK else 0
         bad, states = _contradicted(rows, known, mesh)
@@ -130,15 +133,6 @@ def _is_repeated(E: Array) -> Flags:
     return np.array([bool((np.abs(E[:k] - E[k]).max(axis=1) < MOVED).any()) for k in range(len(E))])
 
 
-def _fill(rows: RowStates, status: NDArray[np.str_], s: Array, known: KnownStates, mesh: LoadedCell) -> RowStates:
-    """The rows with those that stalled on their way from a known state."""
-    left = np.flatnonzero(np.isin(status, ("stalled", "no-limit")))
-    if not len(left):
-        return rows
-    _, lead, S = _best_mixtures(s[left], rows.states(mesh).join([known]), mesh)
-    return rows.put(left, RowStates.undecided(mesh, lead, S))
-
-
 def _best_mixtures(
     s: Array, states: KnownStates, mesh: LoadedCell, detours: int = 0
 ) -> tuple[list[list[int]], Pose, Array]:
@@ -165,7 +159,7 @@ def _dead_states(rows: RowStates, mesh: LoadedCell) -> KnownStates:
     S, E = np.tile(sample.S, (tries, 1)), np.tile(sample.E, (tries, 1))
     start = start_pose(mesh.dead.weave, n).join([random_poses(mesh.dead, n * (tries - 1))])
     pick, found = follow_promising(S, E, mesh, start)
-    return KnownStates.of(mesh, found, S[pick]).with_images(mesh)
+    return KnownStates.of(mesh, found, S[pick], found.status == "converged").with_images(mesh)
 
 
 def _contradicted(rows: RowStates, known: KnownStates, mesh: LoadedCell) -> tuple[Index, KnownStates]:
@@ -275,4 +269,4 @@ def balance_works(
         open_ = [i for i in left if (found.status[members[i]] == "converged").all()]
     else:
         fine[open_] = [equal(i) and equal_shares(s[i], E[members[i]], mesh) is not None for i in open_]
-    return found.take(first), S, fine, KnownStates.of(mesh, found, S[owner])
+    return found.take(first), S, fine, KnownStates.of(mesh, found, S[owner], found.status == "converged")

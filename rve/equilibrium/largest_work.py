@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common import Array, Index, Rows
+from rve.common import Array, Flags, Index, Rows
 from rve.common.tensor import IDENTITY, WEIGHT, disc, double_dot, mirror
 from rve.equilibrium.dead_load import (
     MARGINS,
@@ -60,11 +60,10 @@ class KnownStates(Rows):
     E: Array
 
     @staticmethod
-    def of(mesh: LoadedCell, found: Equilibrium, S: Array) -> KnownStates:
-        """The converged ones of these equilibria under loads S (n, 3)."""
-        ended = found.status == "converged"
-        pose = found.pose.take(ended)
-        return KnownStates(pose, S[ended], strain_of(pose, mesh.sides))
+    def of(mesh: LoadedCell, found: Equilibrium, S: Array, known: Flags) -> KnownStates:
+        """Those of these equilibria under loads S (n, 3) that are `known` (n,)."""
+        pose = found.pose.take(known)
+        return KnownStates(pose, S[known], strain_of(pose, mesh.sides))
 
     def with_images(self, mesh: LoadedCell) -> KnownStates:
         """These states and, for a weave that is its own mirror image, what a mirror shows of them."""
@@ -95,9 +94,7 @@ class Largest:
     @property
     def states(self) -> KnownStates:
         """The converged states."""
-        rows = np.flatnonzero(np.isfinite(self.h))
-        pose = self.found.pose.take(rows)
-        return KnownStates(pose, self.S[rows], strain_of(pose, self.mesh.sides))
+        return KnownStates.of(self.mesh, self.found, self.S, np.isfinite(self.h))
 
     def raised(self, rows: Index, new: Equilibrium, branch: str) -> Largest:
         """With the best of the states known and those of `new` under the loads `rows`, which may be several of one."""
@@ -225,7 +222,7 @@ def states_beyond(found: Equilibrium, S: Array, mesh: LoadedCell) -> KnownStates
     start = moved(here, equations.displacement(way, here))
     new = restart(S[row], equations, start, NEAR_MARGIN, mesh.options)
     more = double_dot(S[row], strain_of(new.pose, mesh.sides) - strain_of(here, mesh.sides)) > GAIN
-    return KnownStates.of(mesh, new.take(more), S[row[more]])
+    return KnownStates.of(mesh, new, S[row], more & (new.status == "converged"))
 
 
 def largest_beyond(planar: Largest, known: KnownStates | None, mesh: LoadedCell) -> Largest:
