@@ -23,6 +23,7 @@ from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites, curtain_file, read_curtain
 from macro_fem.rings.field import RECORD, RingField, WorstCell
 from rve.common import Array, Index, InputError, Typed, check_out_job, tell
+from rve.common.tensor import WEIGHT, double_dot
 
 NARROW = 1e-3
 """A triangle drawn together to less than this part of its length takes its normal from its neighbours."""
@@ -72,15 +73,18 @@ def localize(curtain: Curtain | str | Path, options: LocalizeOptions | None = No
         )
 
     used, row = np.unique(sites.triangle, return_inverse=True)
-    S = over_a_cell(curtain, used, cell.r1**2 * float(np.prod(locked.sides)))
+    S = in_weave(over_a_cell(curtain, used, cell.r1**2 * float(np.prod(locked.sides))), axes)
     states = rve.nearest_poses(in_weave(curtain.E[used], axes), cell, how, locked)
-    loads = rve.cauchy_of(in_weave(S, axes), states.E)
+    work, own = S * WEIGHT @ locked.E.T, double_dot(S, states.E)
+    # S loads the rings where it does most work; poses may be slack across it, or of a triangle that bears another S
+    taut = np.where((own > work.max(axis=1))[:, None], states.E, locked.E[work.argmax(axis=1)])
+    loads = rve.cauchy_of(S, taut)
     tell(f"{len(sites.X)} rings in their places")
     centre, normal = place_rings(curtain, sites, states, row, cell, axes)
     tell(f"contact forces of {len(used)} cells")
     force = rve.largest_forces(loads, cell, how.direct)[row, sites.index[:, 0]]
     most = int(np.argmax(curtain.line_load[used]))
-    turn = turns(curtain, used[[most]], states.E[[most]], axes)[0]
+    turn = turns(curtain, used[[most]], taut[[most]], axes)[0]
     worst = WorstCell(int(used[most]), str(states.status[most]), rve.cell_forces(loads[most], cell, how.direct), turn)
     fit = rve.fit_rings(sites.index, centre, normal, cell)
     wall_s = round(time.perf_counter() - began, 3)

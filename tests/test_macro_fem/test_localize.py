@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from homogenize import default_law
 from macro_fem.cli import main
+from macro_fem.output.files import rings
 from macro_fem.rings.curtain import Curtain, Told, curtain_of
-from macro_fem.rings.localize import find_sites, place_rings, turns
+from macro_fem.rings.localize import find_sites, localize, place_rings, turns
 from rve.common.files import checksum
 from rve.drawn import ALONG, AROUND, DrawnRings
 from rve.geometry.cell import Cell
@@ -454,6 +456,16 @@ def test_the_largest_force_is_that_of_the_cell(alpha, beta):
     """At (30, 4) the two contacts of a pair carry forces ten times apart: the larger one counts."""
     s = 0.7 * cauchy_line_load([alpha], [beta])
     assert largest_forces(s, CELL).max() == pytest.approx(cell_forces(s[0], CELL).force.max(), rel=1e-6)
+
+
+def test_what_is_slack_beside_a_load_changes_no_force(table):
+    """Rings bear S where it locks them, also in cells that are drawn together beside it."""
+    _, E, S, s = table
+    told = Told(0.0, rings(default_law().cell))
+    strains = E[3], E[3] - [0.3, 0.0, 0.15]
+    curtains = [sheet(deformation_gradient(one[None])[0], one, S[3], np.eye(2)) for one in strains]
+    locked, slack = (localize(replace(one, told=told)).contact_force_N.max() for one in curtains)
+    assert [locked, slack] == pytest.approx([cell_forces(s[3], CELL).force.max()] * 2, rel=0.04)
 
 
 def test_the_ring_at_a_hook_is_told_beside_the_forces_away_from_supports(tmp_path):
