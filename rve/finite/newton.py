@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
+from scipy.optimize import nnls
 
 from rve.common import Array, Index
 from rve.common.factor import Factorizer, Solve
@@ -24,18 +25,22 @@ _SOFT = 1e-10
 """Stiffness of every coordinate: rings that nothing touches stay where they are."""
 _IDLE = 1e-6
 """Contacts with less force than this part of mu do without curvature."""
-_TURNS = 3
-"""Times contacts are stiffened before a step is taken."""
+_TURNS = 6
+"""Times contacts are stiffened before a step is taken; those with another factor count twice."""
 _SHORT = 0.3
 """Part of a step that counts as short."""
 _RANK = 64
 """Largest rank of what is added to a matrix without another factor."""
+_CLOSING = (1.0, 0.75, 0.5)
+"""Contacts that close before these parts of a step are stiffened, the fewer the more there are."""
 _FINE = 1e-4
-"""mu below which single rings are to blame for negative curvature."""
+"""mu below which single contacts and single rings are to blame for short steps and negative curvature."""
 _LOCAL = 4
 """Times a factor may fail before negative curvature is left out everywhere."""
 _MANY = 0.5
 """Part of the pairs with less negative curvature from which on failures are not told apart."""
+_CLOSED = 0.8
+"""Part of its gap that such a contact may close."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +101,7 @@ class Iteration:
     def step(self) -> Step | None:
         """The step of the damped equations, with less negative curvature where their matrix is not positive definite.
 
-        Pairs and contacts that would make the step short are made stiffer. None where no damping is enough.
+        Where few pairs would make the step short, they are made stiffer. None where no damping is enough.
         """
         con, state = self.con, self.start
         while True:
@@ -200,20 +205,54 @@ class Iteration:
             self.state = replace(state, convex=np.where(near[con.a] & near[con.b], 1.0, state.convex))
 
     def _is_short(self, safe: Array, dgap: Array) -> bool:
-        """Whether some pairs or contacts would make the step, of safe parts (p,) and change of gaps (m,), short; these
-        are made stiffer then."""
-        state = self.state
+        """Whether some pairs or contacts would make the step, of safe parts (p,) and change of gaps (m,), short.
+
+        They are stiffer then; few contacts at a small mu just so much that they stay open.
+        """
+        state, last = self.state, self._last
         with np.errstate(divide="ignore", invalid="ignore"):
             open_ = np.where(dgap < 0.0, -self.con.gap / dgap, np.inf)
         nearest, tight = open_.min(initial=1.0), safe < _SHORT
-        if not tight.any() and nearest > _SHORT:
+        if not tight.any() and nearest > _CLOSING[-1]:
             return False
-        self._turns += 1
         if safe.min() < 0.1 and 0.0 < state.convex.max() < 1.0:
+            self._turns += 2
             self.state = replace(state, convex=np.ones_like(state.convex))
             return True
+        if state.mu.max() < _FINE and not (self.is_moving or tight.any() or (state.local > last.local).any()):
+            for part in _CLOSING:
+                rows = np.flatnonzero((open_ < part) | (state.extra > last.extra))
+                if len(rows) <= _RANK:
+                    self._turns += 1
+                    self._stop(rows)
+                    return True
+        if not tight.any() and nearest > _SHORT:
+            return False
+        self._turns += 2
         local = np.where(tight, np.maximum(4.0 * state.local, 0.2), state.local)
         stiffer = self.stiff * np.minimum(0.7 / open_, 100.0)
         extra = np.where(open_ < 1.2 * _SHORT, state.extra + stiffer, state.extra)
         self.state = replace(state, local=local, extra=extra)
         return True
+
+    def _stop(self, contacts: Index) -> None:
+        """Stiffen contacts (k,) just so much that the step closes no more than a part of their gaps."""
+        room, extra = _CLOSED * self.con.gap[contacts], self._last.extra.copy()
+        R, Y = self._R_gaps[contacts], self._columns(len(self._moved) + contacts)
+        extra[contacts] += forces_that_stop(R @ Y, -room - R @ self._factor(self.push)) / room
+        self.state = replace(self.state, extra=extra)
+
+
+def forces_that_stop(S: Array, missing: Array) -> Array:
+    """f >= 0 (k,) with S f >= missing and f (S f - missing) = 0, S (k, k) positive semidefinite: what keeps gaps open.
+
+    They are the least squares with f >= 0 of a square root of S.
+    """
+    scale = 1.0 / np.sqrt(np.diag(S))
+    values, vectors = np.linalg.eigh(0.5 * (S + S.T) * scale[:, None] * scale)
+    root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))  # two contacts side by side are the same but for rounding
+    try:
+        force = nnls(root[:, None] * vectors.T, vectors.T @ (scale * missing) / root)[0]
+    except RuntimeError:  # its limit of iterations, in cycles between such contacts: each force by itself is enough
+        force = np.maximum(scale * missing, 0.0)
+    return np.asarray(scale * force)

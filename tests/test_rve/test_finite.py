@@ -12,7 +12,7 @@ from rve import Cell, FiniteMesh, FiniteOptions, HalfSpace, InputError, cell_of_
 from rve.common.factor import Factorizer
 from rve.drawn import ALONG
 from rve.finite.equations import METRIC, blocks, gradients, lacking, rows_of, spread
-from rve.finite.newton import Iteration
+from rve.finite.newton import Iteration, forces_that_stop
 from rve.finite.passage import is_passage_safe, ways
 from rve.finite.task import State, Task
 from rve.finite.touching import Placed, find_touching, fixed_points, followed_gaps, handed_on, links_intact
@@ -173,6 +173,22 @@ def test_a_factor_serves_for_stiffer_contacts_and_pairs():
         now.state = replace(now.state, extra=extra, local=local)
         assert np.allclose(matrix() @ now.step().solve(x), x)
     assert now.factors == factors
+
+
+def test_forces_that_stop_are_those_of_a_complementarity_problem():
+    rng = np.random.default_rng(5)
+    for k in (1, 3, 9):
+        R = rng.standard_normal((k, k)) * 10.0 ** rng.uniform(-4, 4, k)
+        S, missing = R.T @ R, (R.T @ R) @ rng.standard_normal(k)
+        force = forces_that_stop(S, missing)
+        left = (S @ force - missing) / np.sqrt(np.diag(S))
+        size = np.abs(missing / np.sqrt(np.diag(S))).max()
+        assert (force >= 0.0).all()
+        assert left.min() > -1e-6 * size
+        assert np.abs(force * np.sqrt(np.diag(S)) * left).max() < 1e-6 * size**2
+    same = forces_that_stop(2.0 + 2e-15 * np.eye(3), np.array([3.0, 3.0, -1.0]))  # contacts that are the same
+    assert (same >= 0.0).all()
+    assert same.sum() == pytest.approx(1.5, rel=1e-5)
 
 
 def crossing_pairs(seed, size):
