@@ -9,6 +9,7 @@ from click.testing import CliRunner
 
 from homogenize import interval_of_table, load_law, with_material
 from homogenize.cli import main
+from homogenize.directions import Directions
 from homogenize.fitting.fit import FitOptions, fit
 from homogenize.laws.giving import work_along
 from homogenize.strength import Strength, off_grid, read_strength, strength_of_table, tensile_part
@@ -91,6 +92,23 @@ def test_compression_counts_as_no_load(strength):
     assert tensile_part(-push) == pytest.approx(np.zeros((1, 3)), abs=1e-12)
     assert strength.utilisation(pull - 0.7 * push) == pytest.approx(strength.utilisation(pull), rel=1e-9)
     assert strength.utilisation(-pull)[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_loads_of_rank_one_between_neighbours_are_in_the_table():
+    """Loads S of thin wire turn by up to 60 degrees from one row to the next, whose Cauchy loads are 5 apart; where
+    these are 60 apart the loads between them are not known."""
+
+    def pulls(angle):
+        return np.stack([np.cos(angle) ** 2, np.sin(angle) * np.cos(angle), np.sin(angle) ** 2], axis=1)
+
+    alpha, asked = np.radians(np.arange(0.0, 180.0, 5.0)), np.radians(np.arange(2.0, 180.0, 7.0))
+    thick, thin = (np.arctan2(share * np.sin(alpha), np.cos(alpha)) for share in (3.0, 20.0))
+    for turned in (thick, thin):
+        assert not Directions.of(pulls(turned), pulls(alpha), False).extrapolates(pulls(asked)).any()
+    kept = np.abs(np.tan(alpha)) < np.tan(np.radians(61.0))
+    off = Directions.of(pulls(thick[kept]), pulls(alpha[kept]), False).extrapolates(pulls(asked))
+    assert off.tolist() == (np.abs(np.tan(asked)) > 3.0 * np.tan(np.radians(60.0))).tolist()
+    assert 0 < off.sum() < 5
 
 
 def test_the_error_falls_with_the_square_of_the_distance():
