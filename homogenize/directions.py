@@ -18,7 +18,7 @@ FLAT = 1e-12
 FOLDS = 5
 """Parts in which loads are left out, to learn how wrong what is known between the others is there."""
 RIM_STEP_DEG = 45.0
-"""Loads of rank one whose Cauchy loads are farther apart in the disc (half of it in space) have none between them."""
+"""Loads of rank one farther apart than this in the disc (half of it in space) leave the rim between them unknown."""
 BEYOND = 1e-3
 """Share by which a load may lie beyond the hull and still count as one in it."""
 CHUNK = 500
@@ -58,9 +58,8 @@ class Directions:
             raise InputError("strengths need loads that differ in angle and ratio; these lie on one line") from error
         if around.equations[:, 2].max() >= 0.0:
             raise InputError("strengths need loads on all sides of the equibiaxial one")
-        start, end = np.swapaxes(around.simplices, 0, 1)
-        on_rim = (np.linalg.norm(x[start], axis=1) > 1.0 - 1e-6) & (np.linalg.norm(x[end], axis=1) > 1.0 - 1e-6)
-        is_arc = on_rim & ((s[start] * s[end]).sum(axis=1) > np.cos(np.radians(RIM_STEP_DEG)))
+        ends = around.simplices.T
+        is_arc = is_known_arc(x[ends], s[ends])
         sides = np.swapaxes(x[triangles[:, :2]] - x[triangles[:, 2:]], 1, 2)
         good = np.abs(np.linalg.det(sides)) > FLAT
         triangles = triangles[good]
@@ -97,6 +96,15 @@ class Directions:
     def _reach(self, x: Array) -> Array:
         """How far points x (m, 2) of the disc lie towards each half-plane of the hull, (m, k), which is at 1."""
         return np.asarray(x @ self.hull[:, :2].T / -self.hull[:, 2])
+
+
+def is_known_arc(ends: Array, loads: Array) -> Flags:
+    """Whether the rim between two corners of a hull belongs to it, (k,): where both corners are on the rim and close.
+
+    ends (2, k, 2): corners of k sides in the disc; loads (2, k, 2): the points in the disc by which they are close.
+    """
+    on_rim = (np.hypot(ends[..., 0], ends[..., 1]) > 1.0 - 1e-6).all(axis=0)
+    return np.asarray(on_rim & ((loads[0] * loads[1]).sum(axis=1) > np.cos(np.radians(RIM_STEP_DEG))))
 
 
 def each_once(x: Array, is_mirrored: bool = False) -> NDArray[np.intp]:

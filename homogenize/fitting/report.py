@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from homogenize.directions import folds_of
+from homogenize.directions import folds_of, is_known_arc
 from homogenize.fitting.bounds import bounds_of
 from homogenize.fitting.rows import LockedRows, Normality
 from homogenize.laws.protocol import MembraneLaw
@@ -66,16 +66,11 @@ def held_out_misfit(rows: LockedRows, refit: Callable[[LockedRows], MembraneLaw]
     return misfit_of(np.concatenate(S), np.concatenate(error)) if folds else None
 
 
-RIM_STEP_DEG = 45.0
-"""Rim loads farther apart than this in the disc (half of it in space) leave the rim between them unsampled."""
-
-
 def is_sampled(polygon: Array, S: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """Whether loads S (n, 3) lie in the sampled cone, (n,): in the polygon, or between two close corners on the rim."""
     x = disc(S / (S[:, 0] + S[:, 2])[:, None])
     start, end = polygon, np.roll(polygon, -1, axis=0)
     edge = end - start
     side = edge[:, 0] * (x[:, 1:] - start[:, 1]) - edge[:, 1] * (x[:, :1] - start[:, 0])
-    on_rim = (np.hypot(start[:, 0], start[:, 1]) > 1.0 - 1e-6) & (np.hypot(end[:, 0], end[:, 1]) > 1.0 - 1e-6)
-    close = (start * end).sum(axis=1) > np.cos(np.radians(RIM_STEP_DEG))
-    return np.asarray(((side >= -1e-9) | (on_rim & close)).all(axis=1))
+    ends = np.stack([start, end])
+    return np.asarray(((side >= -1e-9) | is_known_arc(ends, ends)).all(axis=1))
