@@ -83,7 +83,7 @@ def holds_line(summary: dict[str, Any]) -> str:
     averages, points, _ = (summary[key] or 0.0 for key in UTILISATIONS)
     if too_low:
         parts.append(too_low)
-    elif found and points > averages:
+    if found and points > averages:
         parts.append(OF_FORCE)
     return "; ".join(parts)
 

@@ -148,7 +148,8 @@ def restart_patiently(
     if len(left):
         s = unit_loads(loads[left]) if equations.is_relative else loads[left]
         near = polish(start.take(left), equations, s, options)
-        found = found.put(left[near.status == "converged"], near.take(near.status == "converged"))
+        good = np.flatnonzero(near.status == "converged")
+        found = found.put(left[good], near.take(good))
     return found
 
 
