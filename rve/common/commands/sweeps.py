@@ -92,7 +92,7 @@ def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1, cluster: str 
     left = [item for item in items if item.name not in ended]
     tell(f"sweep, {len(ended)} of {len(items)} done")
     kept = f"what is finished is kept in {out}, and the same command goes on from there"
-    side_by_side = _cluster(cluster) if cluster else _processes(min(jobs, len(left) or 1))
+    side_by_side = _processes(min(jobs, len(left) or 1)) if cluster is None else _cluster(cluster)
     with noted_if_stopped(kept), side_by_side as workers:
         futures = {workers.submit(run_item, item): item for item in left}
         for future in as_completed(futures):
@@ -178,7 +178,7 @@ def run_sweep(
     A row holds name, exit_code, what `columns` takes from the record, and message. Options that the command of an item
     has not are refused before the first one runs.
     """
-    if cluster and jobs > 1:
+    if cluster is not None and jobs > 1:
         raise InputError("--jobs and --cluster are two ways to run a sweep: give one")
     for item in items:
         command = import_module(f"{item.package}.cli").main.commands[item.arguments[0]]
