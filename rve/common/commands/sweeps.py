@@ -131,8 +131,7 @@ def _processes(jobs: int) -> Iterator[Executor]:
         try:
             yield pool
         except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for child in active_children():
+            for child in active_children():  # the pool waits for them: left running, it may end in a traceback
                 child.terminate()
             raise
 
