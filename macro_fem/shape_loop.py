@@ -46,6 +46,8 @@ IDLE = 25
 DRAG_SETTLED, DRAG_IDLE = 1e-4, 5
 """What drag along the wind may still turn, over the loads, after so many idle rounds: rigid rings of a gathered sheet
 leave open how far single cells fold, and those take turns at some 1e-5."""
+SMOOTHING = (1e-3, 3e-3, 1e-2)
+"""Stabilising tensions in drag for cells that fold now one way and now the other; mean heights + 0 to 0.7 %."""
 STRIDES = 40
 """Parts into which a move of bodies is cut while they push nodes along. More follow round bodies better."""
 PACE = 0.5
@@ -64,11 +66,14 @@ Solve = Callable[[CurtainProblem, CurtainSolution | None], CurtainSolution]
 """The solver of a convex problem, from a curtain before."""
 
 
-def solve_shape(problem: CurtainProblem, start: CurtainSolution | None, solve: Solve) -> CurtainSolution:
+def solve_shape(
+    problem: CurtainProblem, start: CurtainSolution | None, solve: Solve, smoothing: float = 0.0
+) -> CurtainSolution:
     """The curtain of a problem with bodies or wind on its shape, by `solve` for each round.
 
-    InputError if the curtain is inside a body to begin with. An answer whose rounds have not settled has the status
-    "unsettled"; one that is impossible in some round has the status of that round.
+    InputError if the curtain is inside a body to begin with. Rounds that do not settle end as "unsettled", impossible
+    ones with their own status. A sheet that finds no rest in drag along the wind is tried again with a stabilising
+    tension of `SMOOTHING`, as `smoothing` tells.
     """
     begin, scene = time.perf_counter(), problem.scene
     is_steep = any(wind.follows and wind.speed is not None for wind in problem.winds)
@@ -93,7 +98,7 @@ def solve_shape(problem: CurtainProblem, start: CurtainSolution | None, solve: S
         change = wind_density(problem, found.x) - wind
         turned = [tangent_walls(body, problem.fem, found.x) for body in problem.bodies]
         record = _measure_settling(problem, found, turned, change, settled)
-        record = replace(record, rounds=rounds, crossed=watch.deepest)
+        record = replace(record, rounds=rounds, crossed=watch.deepest, smoothing=smoothing)
         is_last = rounds == ROUNDS or bool(problem.winds and mixer.idle > IDLE)
         if is_drag and (is_last or mixer.idle > DRAG_IDLE):
             record = replace(record, asked=STEEP_SETTLED if is_last else DRAG_SETTLED)
@@ -111,7 +116,12 @@ def solve_shape(problem: CurtainProblem, start: CurtainSolution | None, solve: S
             last, found = found, solve(_pose(problem, tangents, wind), found)
         watch.look(problem.bodies, last.x, found.x)
     own = replace(found.problem, scene=scene, bodies=problem.bodies, winds=problem.winds)
-    return replace(found, problem=own, settling=record, wall_s=time.perf_counter() - begin)
+    found = replace(found, problem=own, settling=record)
+    higher = [tension for tension in SMOOTHING if tension > scene.solver.stabilising_tension]
+    if is_drag and found.status == "unsettled" and higher and not scene.solver.is_elastic:
+        tense = replace(scene, solver=replace(scene.solver, stabilising_tension=higher[0]))
+        found = solve_shape(replace(problem, scene=tense), found, solve, higher[0])
+    return replace(found, wall_s=time.perf_counter() - begin)
 
 
 def _approach(

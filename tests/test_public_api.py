@@ -140,17 +140,10 @@ def test_the_notebook_of_the_law_shows_both_weaves(executed):
 
 
 def test_records_show_themselves_in_a_notebook(answer, table):
-    mesh, law = rve.FiniteMesh.rectangle(rve.Cell(), 1, 1), homogenize.default_law()
-    force, at = np.zeros((5, 3)), np.column_stack([mesh.X, np.zeros(5)])
-    force[:, 1] = -9.81 * mesh.mass
-    scene = macro_fem.Scene(macro_fem.Rectangle(99, 99), [macro_fem.Top()])
-    locked = rve.support(rve.Cell(), [0.5, 0.0, 0.5])
-    rings = mesh.solve(force, at[:, [1, 1, 1]] > 12.0, at, space=False)
-    for record in (table, law, scene, answer):
-        assert record._repr_html_().startswith("<"), type(record).__name__
-    assert "Rectangle(" in scene._repr_html_()
+    assert table._repr_html_().startswith("<")
     assert "converged" in answer._repr_html_()
-    assert all("converged" in repr(one) for one in (locked, rings))
+    assert "converged" in repr(rve.support(rve.Cell(), [0.5, 0.0, 0.5]))
+    law = homogenize.default_law()
     assert repr(law) == str(law)  # 527 lines of arrays in a console
 
 

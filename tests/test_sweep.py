@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
 from multiprocessing import active_children, get_context
 from pathlib import Path
 
@@ -128,10 +129,11 @@ def test_what_was_read_has_changed_and_is_run_again(tmp_path, shape, name):
     [(1, signal.SIGINT, 130), (1, signal.SIGHUP, 129), pytest.param(2, signal.SIGTERM, 143, marks=pytest.mark.slow)],
 )
 def test_a_stopped_sweep_ends_and_keeps_what_is_finished(tmp_path, number, code, jobs):
-    words = ["sweep", "--out", tmp_path, "--r1", "5,6,7,8", "--r2", "0.5,0.6,0.7,0.8,0.9,1", "--jobs", jobs]
+    words = ["sweep", "--out", tmp_path, "--r1", "5,6,7,8", "--r2", "0.5,0.6,0.7,0.8,0.9,1", "--jobs", jobs, "--quiet"]
     command = [sys.executable, "-m", "rve", *map(str, words), "--alpha", "0:45:15", "--beta", "0:90:45"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    heard = partial(signal.signal, number, signal.SIG_DFL)  # tests that run in the background ignore SIGINT
+    process = subprocess.Popen(command, env=environment, preexec_fn=heard, stderr=subprocess.PIPE, text=True)
     while process.poll() is None and not list(tmp_path.glob(".sweep/*.json")):
         time.sleep(0.05)
     process.send_signal(number)

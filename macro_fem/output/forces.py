@@ -149,7 +149,8 @@ def obstacle_summary(steps: Sequence[CurtainSolution]) -> dict[str, Any]:
     for number, line in enumerate(each[-1]):
         line["steps"] = [{key: one[number][key] for key in ("displacement_mm", "reaction_N")} for one in each]
     if settling is not None:
-        residuals = {name: getattr(settling, name) for name in ("rounds", "misfit", "complementarity", "asked")}
+        names = ("rounds", "misfit", "complementarity", "asked", "smoothing")
+        residuals = {name: getattr(settling, name) for name in names}
         found["settling"] = residuals | {"penetration_between_nodes_mm": settling.between_nodes_mm}
     return found
 

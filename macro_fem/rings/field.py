@@ -13,7 +13,7 @@ from macro_fem.fem.cells import padded
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites
 from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestPoses
-from rve.common import Array, Index, as_html, csv_text, digits, job, versions, write_text
+from rve.common import Array, Index, csv_text, digits, job, versions, write_text
 from rve.common.drawing.page import write_page
 from rve.common.drawing.space import save_picture
 from rve.common.optional import Axes
@@ -201,7 +201,3 @@ class RingField:
         )
 
     __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        """What a notebook shows: the summary line, what the statuses mean, and the numbers that are single values."""
-        return as_html(self, self.summary, (f"{name}: {text}" for name, text in self.summary["meanings"].items()))

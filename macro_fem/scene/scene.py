@@ -17,7 +17,7 @@ from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.shapes import Mesh, MeshFile, Outline, Rectangle, Shape
 from macro_fem.scene.sites import Support
 from macro_fem.scene.tables import Combination, Item, LiveLoad, Load, Solver, Vector, in_3d, leaves_plane
-from rve.common import Array, InputError, Typed, as_html, read_toml, read_typed, refuse_unknown, shown
+from rve.common import Array, InputError, Typed, read_toml, read_typed, refuse_unknown, shown
 from rve.common.materials import described
 
 Kind = TypeVar("Kind")
@@ -130,10 +130,6 @@ class Scene:
         """The scene with one more load, "bar", "point", "patch", "edge" or "wind", as in [[load.KIND]]."""
         more = read_records({"kind": kind, **keys}, LiveLoad.kinds, f"{self.source}: [load]")
         return replace(self, items=(*self.items, *more))
-
-    def _repr_html_(self) -> str:
-        parts = (self.curtain, self.mesh, *self.items, self.load, self.start, self.solver)
-        return as_html(f"Scene: {self.source}", dict(self.material), (str(part) for part in parts if part is not None))
 
 
 def load_scene(path: str | Path) -> Scene:

@@ -4,7 +4,7 @@ not balance, the violation of the law, how far apart the supports are, and why t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -144,7 +144,8 @@ class Settling:
     misfit: forces that turned in the last round; complementarity: reactions times the distance of their nodes from the
     body, over load times size; asked: what both must not exceed; between_nodes_mm: how deep bodies are inside the mesh
     between its nodes; depth: the same over half the least width of the body; crossed: how deep the mesh has been on its
-    way there; is_wind: whether nothing but wind depends on the shape.
+    way there; is_wind: whether nothing but wind depends on the shape; smoothing: the stabilising tension that was tried
+    since folds did not come to rest with the one asked for, else 0.
     """
 
     rounds: int
@@ -155,6 +156,7 @@ class Settling:
     depth: float
     crossed: float = 0.0
     is_wind: bool = False
+    smoothing: float = 0.0
 
     @property
     def is_settled(self) -> bool:
@@ -168,7 +170,7 @@ class Settling:
         if max(self.depth, self.crossed) > PIERCED:
             return Verdict(Status.PIERCED, THROUGH.format(self, 100.0 * max(self.depth, self.crossed)))
         if self.is_settled:
-            return last
+            return replace(last, message=last.message + SMOOTHED.format(self)) if self.smoothing else last
         return Verdict(Status.UNSETTLED, (RESTLESS if self.is_wind else UNSETTLED).format(self))
 
 
@@ -183,6 +185,7 @@ UNSETTLED = (
     "{0.misfit:.1e} of the load still turn, reactions times distances are {0.complementarity:.1e} of load times size; "
     "take more load steps, or a finer mesh"
 )
+SMOOTHED = "; its folds came to rest in the wind with stabilising_tension = {0.smoothing:g}"
 RESTLESS = (
     "wind on the present shape has not settled after {0.rounds} rounds: forces of {0.misfit:.1e} of the load still "
     "turn, and a sheet that flutters has no rest; take less wind, a heavier bar at its "

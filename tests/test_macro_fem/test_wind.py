@@ -157,6 +157,15 @@ def test_drag_of_a_gathered_sheet_with_a_bar_comes_to_rest(speed, mass):
     assert -solution.reactions[:, 2].sum() == pytest.approx(wind_summary(solution)["wind"][0]["drag_N"], rel=1e-4)
 
 
+@pytest.mark.slow
+def test_folds_that_find_no_rest_in_drag_are_smoothed_and_the_answer_says_so():
+    loads = {"wind": {"direction": [0.0, 0.0, 1.0], "speed": 18.4}, "bar": {"mass": 2.7}}
+    solution = solve_problem(posed(sheet(600.0, 400.0, 12, {"kind": "hooks", "pitch": 200.0}, {}, loads)))
+    assert solution.status == "converged", solution.message
+    assert solution.message.endswith("; its folds came to rest in the wind with stabilising_tension = 0.001")
+    assert -solution.reactions[:, 2].sum() == pytest.approx(wind_summary(solution)["wind"][0]["drag_N"], rel=1e-3)
+
+
 def test_a_track_drawn_to_its_half_takes_less_than_a_plate():
     """3000 x 2300 mm on a track of radius 1500 mm at fullness 1.5: the half-open front is 1.0 m wide."""
     drags = []
