@@ -11,15 +11,7 @@ from typing import Any
 import click
 
 from rve.common import SENTENCES, InputError, NotConverged, numbers_of, read_json_object, sidecar_path, tell
-from rve.common.commands.command_line import (
-    Group,
-    answer,
-    check_plot,
-    options,
-    parse_load,
-    say,
-    say_next,
-)
+from rve.common.commands.command_line import Group, answer, check_plot, options, parse_load, say, say_next
 from rve.common.commands.sweeps import SweepItem, further_options, run_sweep, sweep_options
 from rve.common.materials import MATERIALS, material_of
 from rve.common.rings import Joint, check_ring_size

@@ -16,8 +16,8 @@ from rve.equilibrium.symmetry import solve_equilibrium_symmetric
 from rve.equilibrium.system import IDLE, Equations
 from rve.geometry import contacts
 from rve.geometry.cell import Cell
-from rve.geometry.contacts import pairs_in_reach, unlisted_gap, widened
 from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry.pose import pair_geometry
 from rve.geometry.weave import SIX_IN_ONE
 
 FORCED = ("asymmetry", "far-pairs", "unlisted-pairs", "idle-curvature")
@@ -54,7 +54,7 @@ def measure(full: bool) -> Section:
 
 def solved(cell: Cell, s: Array, feature: str = "") -> Equilibrium:
     """Locked states under the line loads s (n, 3), with one feature switched on."""
-    weave = widened(cell.weave) if feature == "unlisted-pairs" else cell.weave
+    weave = contacts.widened(cell.weave) if feature == "unlisted-pairs" else cell.weave
     equations = replace(Equations.of(weave, cell.wire), idle=-1.0 if feature == "idle-curvature" else IDLE)
     solve = solve_equilibrium if feature == "asymmetry" else solve_equilibrium_symmetric
     touch = (lambda d, limit: np.full(d.shape[:-1], True)) if feature == "far-pairs" else contacts.can_touch
@@ -67,7 +67,7 @@ def forced(feature: str, name: str, cell: Cell, plain: tuple[Equilibrium, float]
     found, seconds = least_seconds(partial(solved, cell, s, feature), long=3.0)
     good, was_good = found.status == "converged", plain[0].status == "converged"
     change = float(np.abs(found.pose.lattice - plain[0].pose.lattice)[good & was_good].max())
-    overlap = unlisted_gap(plain[0].pose, cell.weave, cell.wire).min() < 0.0
+    overlap = contacts.unlisted_gap(plain[0].pose, cell.weave, cell.wire).min() < 0.0
     default = USED if feature == "unlisted-pairs" and overlap else LEFT_OUT
     times, ok = (plain[1], seconds), bool((good == was_good).all())
     return trial(feature, name, times, change, TOLERANCE, "r1", default=default, ok=ok)
@@ -75,7 +75,8 @@ def forced(feature: str, name: str, cell: Cell, plain: tuple[Equilibrium, float]
 
 def met_row(name: str, cell: Cell, found: Equilibrium) -> Row:
     """What the solver met: pairs in reach, distance of unlisted pairs."""
-    near = pairs_in_reach(found.pose, cell.weave, cell.wire, DirectOptions().reach)
+    offset, reach = pair_geometry(found.pose, cell.weave)[0], DirectOptions().reach
+    near = contacts.can_touch(offset, 2.0 * cell.wire + reach).sum(axis=1)
     row = {"cell": name, "converged": (found.status == "converged").sum()}
     row |= {"listed pairs in reach": f"{near.min()} to {near.max()} of {len(cell.weave.pairs)}"}
-    return row | {GAP: unlisted_gap(found.pose, cell.weave, cell.wire).min()}
+    return row | {GAP: contacts.unlisted_gap(found.pose, cell.weave, cell.wire).min()}

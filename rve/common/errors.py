@@ -16,14 +16,11 @@ class NotConverged(RuntimeError):
 
 
 SENTENCES = {
-    "converged": "equilibrium found: residual, gaps and links are within tolerance",
     "stalled": "no equilibrium after all attempts; allow more iterations or attempts, or move the load by 0.01 degrees",
     "below": "another known state does more work under this load, and no equilibrium was reached from it; allow more "
     "iterations",
     "compressive": "a principal line load is negative and rings cannot push; keep beta between 0 and 90 degrees",
     "no-limit": "the load leaves the strain free and its limit was not found; raise the smaller principal load",
-    "time-step": "the time step shrank to nothing before the energy fell; allow contact curvature or a smaller h_min",
-    "step-limit": "the step limit was reached before the residual; allow more steps or a larger time step",
 }
 _short = reprlib.Repr()
 _short.maxstring = _short.maxother = _short.maxlong = 80

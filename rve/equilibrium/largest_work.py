@@ -7,7 +7,6 @@ one: starts there are its motions of negative stiffness, and a small disturbance
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -200,23 +199,16 @@ def in_cell(found: Equilibrium, s: Array, equations: Equations, reach: float) ->
     return replace(found, pose=made.pose, contacts=made.contacts, lam=made.lam, R=R)
 
 
-def unstable_motions(found: Equilibrium, s: Array, equations: Equations) -> Iterator[tuple[int, Array]]:
-    """For every locked state of these equations that gives way: its number, and the motions (k, m) that do."""
-    for i, stiffness, motions in loose_motions(equations, found, s):
-        gives = np.flatnonzero(stiffness < UNSTABLE)[:MODES]
-        if len(gives):
-            yield i, motions[:, gives].T
-
-
 def states_beyond(found: Equilibrium, S: Array, mesh: LoadedCell) -> KnownStates:
     """States that do more work under the dead loads S (n, 3) of unit trace than these locked ones of a larger cell."""
     equations = mesh.dead
     way = np.random.default_rng(0).uniform(-1.0, 1.0, (len(S), equations.modes.shape[1]))
     way[:, :3] = 0.0
     rows, ways = [np.arange(len(S))], [DISTURBED * equations.wire * way]
-    for i, motions in unstable_motions(found, unit_loads(S), equations):
-        rows.append(np.full(len(motions), i))
-        ways.append(PUSH * equations.wire * motions / np.abs(motions).max(axis=1, keepdims=True))
+    for i, stiffness, motions in loose_motions(equations, found, unit_loads(S)):
+        gives = motions.T[np.flatnonzero(stiffness < UNSTABLE)[:MODES]]
+        rows.append(np.full(len(gives), i))
+        ways.append(PUSH * equations.wire * gives / np.abs(gives).max(axis=1, keepdims=True))
     row, way = np.concatenate(rows), np.concatenate(ways)
     here = found.pose.take(row)
     start = moved(here, equations.displacement(way, here))

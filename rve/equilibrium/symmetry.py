@@ -25,8 +25,7 @@ from rve.geometry.weave import Weave
 _INVERTED = np.array([-1.0, -1.0, -1.0])
 _REFLECTED = np.array([1.0, 1.0, -1.0])
 _TURNED = np.array([-1.0, -1.0, 1.0])
-# Start poses of weaves are written with nine digits.
-_ROUNDING = 1e-7
+_ROUNDING = 1e-12
 MOST_ITERATIONS = 60
 """In symmetric coordinates; 40 do for all but a few cases, which are better off with all coordinates then."""
 
@@ -95,7 +94,7 @@ def solve_equilibrium_symmetric(s: Array, equations: Equations, options: DirectO
     unit = unit_loads(s)
     half = symmetric_equations(equations, symmetry)
     once = replace(options, attempts=1, max_iterations=min(MOST_ITERATIONS, options.max_iterations))
-    part = solve_equilibrium(s, half, once, symmetric_start(equations.weave, symmetry, len(s)))
+    part = solve_equilibrium(s, half, once)
     found = expand_symmetric(part, symmetry, equations, unit, options.reach)
     is_solved = is_confirmed(found, half, equations, unit, options.tolerance)
     is_slender = np.abs(unit[:, 0] * unit[:, 2] - unit[:, 1] ** 2) < 1e-12  # of rank one
@@ -107,15 +106,6 @@ def solve_equilibrium_symmetric(s: Array, equations: Equations, options: DirectO
     again = solve_equilibrium(s[left], equations, options)
     again = replace(again, iterations=again.iterations + found.iterations[left], attempts=again.attempts + 1)
     return found.put(left, again)
-
-
-def symmetric_start(weave: Weave, symmetry: Symmetry, count: int) -> Pose:
-    """The slack pose of the weave, `count` times, symmetric to the last digit."""
-    pose = start_pose(weave, count)
-    i, j = symmetry.middle
-    middle, first = 0.5 * (i * pose.a1 + j * pose.a2), pose.normals[:, 0]
-    centres = np.stack([pose.centres[:, 0], middle], axis=1)
-    return replace(pose, centres=centres, normals=np.stack([first, first * _TURNED], axis=1))
 
 
 def expand_symmetric(

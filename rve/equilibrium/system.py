@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rve.common import Array, Rows
+from rve.common.rings import gyration_radius
 from rve.geometry.contacts import CellContacts, distance_gradient, distance_hessian, find_contacts
 from rve.geometry.pose import Pose, pair_maps, place_maps, reduction, turns_of
 from rve.geometry.weave import Weave
@@ -85,18 +86,14 @@ def lattice_load(pose: Pose, s: Array) -> tuple[Array, Array]:
 
 
 def mass_matrix(weave: Weave, wire: float) -> Array:
-    """Mass matrix of the generalised velocities, (m_full, m_full), for rings of unit mass and r1 = 1."""
+    """Mass matrix of the generalised velocities, (m_full, m_full), for rings of unit mass and r1 = 1; how they resist a
+    spin about their axes weighs no coordinate."""
     way = place_maps(weave, weave.rings)
     M = np.einsum("rxi,rxj->ij", way, way)
     for ring in weave.rings[:, 0]:
         turns = turns_of(weave, ring)
-        M[turns, turns] += inertia(wire) * np.eye(3)
+        M[turns, turns] += gyration_radius(1.0, wire) ** 2 * np.eye(3)
     return M
-
-
-def inertia(wire: float) -> float:
-    """Of a torus of unit mass and r1 = 1 about a diameter; the axial one weighs no coordinate."""
-    return 0.5 + 0.625 * wire**2
 
 
 def mirror_modes(weave: Weave) -> Array:

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rve.common import Array, Flags, tell
+from rve.common.rings import gyration_radius
 from rve.finite.equations import gradients, spread
 from rve.finite.layout import FiniteMesh
 from rve.finite.problem import Problem
@@ -26,7 +27,6 @@ from rve.finite.solver import solve_near
 from rve.finite.task import FiniteOptions, Found, Record, RingInertia, Task
 from rve.finite.touching import Touching, find_touching, nearest, of_pairs
 from rve.finite.walls import HalfSpace, Obstacle, RoundBody, flat
-from rve.geometry.cell import Cell
 from rve.geometry.ring_pair import cross, rotation
 
 STEP = tuple(
@@ -67,20 +67,12 @@ class RingStep:
     touched: float
 
 
-def gyration_radius(cell: Cell) -> float:
-    """The radius of gyration in mm of a ring about a diameter.
-
-    >>> round(gyration_radius(Cell(r1=5.0, r2=0.5)), 6)
-    3.557562
-    """
-    return float(np.sqrt(cell.r1**2 / 2.0 + 5.0 * cell.r2**2 / 8.0))
-
-
 def ring_places(rings: FiniteSolution) -> Array:
     """Places (2 n + b, 3) in mm: the centres, points on the axes one radius of gyration from them, less these, and the
     centres of balls."""
     balls = np.array([wall.place for wall in rings.walls if isinstance(wall, RoundBody)]).reshape(-1, 3)
-    return np.concatenate([rings.centre, gyration_radius(rings.mesh.cell) * rings.normal, balls])
+    cell = rings.mesh.cell
+    return np.concatenate([rings.centre, gyration_radius(cell.r1, cell.r2) * rings.normal, balls])
 
 
 def slack_rings(mesh: FiniteMesh, *, space: bool = True, walls: Sequence[HalfSpace] = ()) -> FiniteSolution:
@@ -142,7 +134,7 @@ def _step(
     # Of short steps places to round-off leave more than the tolerance.
     least = np.finfo(float).eps * float(weight @ np.abs(aim).max(axis=1)) / load
     # Points beside soft minima would come and go from step to step, and inertia holds what they are for.
-    radius, none = gyration_radius(mesh.cell), np.zeros((len(problem.walls), 3))
+    radius, none = gyration_radius(r1, mesh.cell.r2), np.zeros((len(problem.walls), 3))
     loose = n + np.flatnonzero([isinstance(wall, RoundBody) for wall in problem.walls])
     place, normal = (np.concatenate([part, none]) for part in (aim[:n] / r1, aim[n : 2 * n] / radius))
     heavy, turning = (np.append(part, none[:, 0]) for part in (weight[:n], weight[n : 2 * n]))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common import Array, Flags, Index, Rows
+from rve.common import Array, Flags, Rows
 from rve.geometry.pose import Pose, pair_geometry
 from rve.geometry.ring_pair import Minima, are_linked, cross, dot, foot_on_circle, local_minima, norm
 from rve.geometry.weave import Weave
@@ -137,11 +137,6 @@ def unlisted_gap(pose: Pose, weave: Weave, wire: float) -> Array:
     if len(near):
         bound[near] = find_contacts(pose.take(near), rest, wire, np.inf).min_gap
     return np.asarray(bound)
-
-
-def pairs_in_reach(pose: Pose, weave: Weave, wire: float, reach: float) -> Index:
-    """How many listed pairs of each pose are near enough to be sampled, (n,)."""
-    return np.asarray(can_touch(pair_geometry(pose, weave)[0], 2.0 * wire + reach).sum(axis=1))
 
 
 def distance_gradient(m: Minima) -> Array:

@@ -5,6 +5,7 @@ Symmetric tensors are triples (11, 12, 22) on the last axis; the leading axis is
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import cosdg, sindg
 
 from rve.common import Array
 from rve.common.tensor import IDENTITY, eigenvalues
@@ -19,7 +20,9 @@ def cauchy_line_load(alpha_deg: ArrayLike, beta_deg: ArrayLike) -> Array:
     array([[0., 0., 1.],
            [0., 0., 1.]])
     """
-    (ca, sa), (s1, s2) = _cos_sin(alpha_deg), _cos_sin(beta_deg)
+    # Within one turn, since huge angles have no cosine in degrees.
+    alpha, beta = (np.fmod(np.asarray(angle, dtype=float), 360.0) for angle in (alpha_deg, beta_deg))
+    ca, sa, s1, s2 = cosdg(alpha), sindg(alpha), cosdg(beta), sindg(beta)
     s = np.stack([ca**2 * s1 + sa**2 * s2, ca * sa * (s1 - s2), sa**2 * s1 + ca**2 * s2], axis=-1)
     return s + 0.0  # no negative zeros in tables
 
@@ -36,18 +39,6 @@ def load_angles(s: Array) -> tuple[Array, Array, Array]:
     s2, s1 = (np.maximum(value, 0.0) for value in eigenvalues(s))
     alpha = 0.5 * np.degrees(np.arctan2(s[:, 1], 0.5 * (s[:, 0] - s[:, 2])))
     return alpha, np.degrees(np.arctan2(s2, s1)), np.hypot(s1, s2)
-
-
-def _cos_sin(degrees: ArrayLike) -> tuple[Array, Array]:
-    # Within one turn, since the number of quarters of huge angles is beyond integers.
-    angle = np.fmod(np.asarray(degrees, dtype=float), 360.0)
-    quarter = np.round(angle / 90.0)
-    rest = np.radians(angle - 90.0 * quarter)
-    c, s = np.cos(rest), np.sin(rest)
-    turn = quarter.astype(int) % 4
-    cos = np.choose(turn, [c, -s, -c, s])
-    sin = np.choose(turn, [s, c, -s, -c])
-    return cos, sin
 
 
 def green_lagrange(F: Array) -> Array:

@@ -75,6 +75,7 @@ def _two_rows(links: set[tuple[int, int]], reach: int, same: tuple[tuple[int, in
 
 _NEAR = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2))
 _TILT = np.radians(34.114592859)
+_ROW, _LEAN = 1.30114408, 0.23404368
 
 # Start poses are those of largest clearance; half of it is the thickest wire, the jamming limit
 # (tests/test_rve/test_weave.py finds poses and limits again by sequential linear programming).
@@ -94,8 +95,8 @@ FOUR_IN_ONE = Weave(
 SIX_IN_ONE = Weave(
     "6-in-1",
     *_two_rows({(i, j) for i in (-1, 0, 1) for j in (0, -1)}, 4, (*_NEAR, (3, 0), (2, 1), (2, -1), (3, 1), (3, -1))),
-    np.array([1.22213041, 1.30114408, 0.23404368]),
-    np.array([[0.0, 0.0], [0.15226224, 0.65057204]]),
+    np.array([1.22213041, _ROW, _LEAN]),
+    np.array([[0.0, 0.0], [0.5 * _LEAN * _ROW, 0.5 * _ROW]]),
     np.array([[-0.41265208, 0.58663338, 0.69683536], [0.41265208, -0.58663338, 0.69683536]]),
     False,
     5.943203815,

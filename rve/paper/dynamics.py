@@ -9,7 +9,8 @@ import numpy as np
 from msgspec import Meta
 
 from rve.common import Array, Index, Typed
-from rve.equilibrium.system import Equations, inertia
+from rve.common.rings import gyration_radius
+from rve.equilibrium.system import Equations
 from rve.geometry.contacts import CellContacts
 from rve.geometry.pose import place_maps, turns_of
 from rve.geometry.weave import Weave
@@ -71,7 +72,7 @@ class Dynamics:
         """The motion of a cell with these options."""
         weave, wire, r1 = equations.weave, equations.wire, options.r1_mm
         ring_mass = options.density * 2.0 * np.pi**2 * r1**3 * wire**2 / options.load
-        turning = options.rotational_damping / (options.load * r1**2 * ring_mass * inertia(wire))
+        turning = options.rotational_damping / (options.load * r1**2 * ring_mass * gyration_radius(1.0, wire) ** 2)
         is_turn = np.arange(len(equations.mass)) >= turns_of(weave, 0).start
         decay = np.where(is_turn, turning, options.damping / (options.load * ring_mass))
         stiffness = options.stiffness / options.load * np.maximum(copies(weave), 1)

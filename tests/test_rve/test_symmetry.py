@@ -11,12 +11,11 @@ from rve.equilibrium.symmetry import (
     is_symmetric,
     solve_equilibrium_symmetric,
     symmetric_equations,
-    symmetric_start,
     symmetry_of,
 )
 from rve.equilibrium.system import Equations
 from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.pose import moved
+from rve.geometry.pose import moved, start_pose
 from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE, supercell
 
 OPTIONS = DirectOptions()
@@ -28,7 +27,7 @@ def test_symmetric_motions_keep_the_symmetry(weave, wire):
     rng = np.random.default_rng(3)
     symmetry = symmetry_of(weave)
     half = symmetric_equations(Equations.of(weave, wire), symmetry)
-    pose = symmetric_start(weave, symmetry, 5)
+    pose = start_pose(weave, 5)
     for _ in range(4):
         pose = moved(pose, half.displacement(0.05 * rng.uniform(-1.0, 1.0, (5, 5)), pose))
         assert is_symmetric(pose, symmetry.middle, 1e-14).all()
@@ -40,7 +39,7 @@ def test_derivative_of_the_symmetric_equations_by_differences():
     rng = np.random.default_rng(5)
     symmetry = symmetry_of(FOUR_IN_ONE)
     half = symmetric_equations(Equations.of(FOUR_IN_ONE, 0.05), symmetry)
-    pose = symmetric_start(FOUR_IN_ONE, symmetry, 1)
+    pose = start_pose(FOUR_IN_ONE, 1)
     pose = moved(pose, half.displacement(0.08 * rng.uniform(-1.0, 1.0, (1, 5)), pose))
     s = cauchy_line_load([25.0], [30.0])
     here = half.contacts(pose, 0.75)
