@@ -47,7 +47,6 @@ from .strained.placed import reference_shares as reference_shares
 from .strained.poses import POSE_MEANINGS as POSE_MEANINGS
 from .strained.poses import LockedArrangements as LockedArrangements
 from .strained.poses import NearestPoses as NearestPoses
-from .strained.poses import PoseOptions as PoseOptions
 from .strained.poses import locked_arrangements as locked_arrangements
 from .strained.poses import nearest_poses as nearest_poses
 from .support_function import SupportValue as SupportValue

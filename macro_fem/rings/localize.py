@@ -8,7 +8,7 @@ axes, orthogonal, and their cross product is the normal of the sheet.
 """
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,13 +33,12 @@ NARROW = 1e-3
 class LocalizeOptions(Typed):
     """Which rings of a curtain are wanted: those in the window x0, y0, x1, y1 (mm, before deformation), all if None.
 
-    max_rings: more are refused, because their files grow by 0.5 kB each. poses: options of the pose solver. InputError
-    for values that make no sense.
+    max_rings: more are refused, because their files grow by 0.5 kB each. InputError for values
+    that make no sense.
     """
 
     window: tuple[float, float, float, float] | None = None
     max_rings: Annotated[int, Meta(ge=1, le=10**9)] = 100_000
-    poses: rve.PoseOptions = field(default_factory=rve.PoseOptions)
 
     def check(self) -> None:
         """InputError for a window that is no rectangle."""
@@ -58,8 +57,8 @@ def localize(curtain: Curtain | str | Path, options: LocalizeOptions | None = No
     began = time.perf_counter()
     options = options or LocalizeOptions()
     curtain = curtain if isinstance(curtain, Curtain) else read_curtain(curtain)
-    cell, how = curtain.told.cell(curtain.source), options.poses
-    locked = rve.locked_arrangements(cell, how)
+    cell = curtain.told.cell(curtain.source)
+    locked = rve.locked_arrangements(cell)
     axes = rve.axes_of_weave(cell, curtain.told.hang_deg)
     tell("rings in their cells")
     sites = find_sites(curtain, cell, locked.sides, axes, options.window)
@@ -74,7 +73,7 @@ def localize(curtain: Curtain | str | Path, options: LocalizeOptions | None = No
 
     used, row = np.unique(sites.triangle, return_inverse=True)
     S = in_weave(over_a_cell(curtain, used, cell.r1**2 * float(np.prod(locked.sides))), axes)
-    states = rve.nearest_poses(in_weave(curtain.E[used], axes), cell, how, locked)
+    states = rve.nearest_poses(in_weave(curtain.E[used], axes), cell, locked)
     work, own = S * WEIGHT @ locked.E.T, double_dot(S, states.E)
     # S loads the rings where it does most work; poses may be slack across it, or of a triangle that bears another S
     taut = np.where((own > work.max(axis=1))[:, None], states.E, locked.E[work.argmax(axis=1)])
@@ -82,10 +81,10 @@ def localize(curtain: Curtain | str | Path, options: LocalizeOptions | None = No
     tell(f"{len(sites.X)} rings in their places")
     centre, normal = place_rings(curtain, sites, states, row, cell, axes)
     tell(f"contact forces of {len(used)} cells")
-    force = rve.largest_forces(loads, cell, how.direct)[row, sites.index[:, 0]]
+    force = rve.largest_forces(loads, cell)[row, sites.index[:, 0]]
     most = int(np.argmax(curtain.line_load[used]))
     turn = turns(curtain, used[[most]], taut[[most]], axes)[0]
-    worst = WorstCell(int(used[most]), str(states.status[most]), rve.cell_forces(loads[most], cell, how.direct), turn)
+    worst = WorstCell(int(used[most]), str(states.status[most]), rve.cell_forces(loads[most], cell), turn)
     fit = rve.fit_rings(sites.index, centre, normal, cell)
     wall_s = round(time.perf_counter() - began, 3)
     return RingField(curtain, cell, sites, centre, normal, states, row, fit, force, worst, wall_s)

@@ -40,13 +40,13 @@ class CellForces:
         return np.array([sums[0, 0], 0.5 * (sums[0, 1] + sums[1, 0]), sums[1, 1]])
 
 
-def cell_forces(s: Array, cell: Cell, options: DirectOptions | None = None) -> CellForces:
+def cell_forces(s: Array, cell: Cell) -> CellForces:
     """Contacts and their forces in the locked cell under one line load s (3,) in N/mm, in weave axes.
 
     `status` is "converged" or the name of a failure; there are no contacts then.
     """
     alpha, beta, size = load_angles(s[None])
-    states = locked_block(alpha, beta, replace(cell, grain="y"), options or DirectOptions())
+    states = locked_block(alpha, beta, replace(cell, grain="y"), DirectOptions())
     pose, con, weave, status = states.pose, states.found.contacts, states.cell.weave, str(states.found.status[0])
     force = states.found.lam[con.present]
     works = (force > 1e-9) & (status == "converged")
@@ -69,7 +69,7 @@ def cell_forces(s: Array, cell: Cell, options: DirectOptions | None = None) -> C
     )
 
 
-def largest_forces(s: Array, cell: Cell, options: DirectOptions | None = None, step: float = 2.0) -> Array:
+def largest_forces(s: Array, cell: Cell, step: float = 2.0) -> Array:
     """Largest contact force (n, K) in N on a ring of each class under the line loads s (n, 3) in N/mm, in weave axes.
 
     Directions are rounded to `step` degrees, so that many cells share a solve; the smaller load is at least tan(step/2)
@@ -84,7 +84,7 @@ def largest_forces(s: Array, cell: Cell, options: DirectOptions | None = None, s
     rounded[:, 0] = np.mod(rounded[:, 0] + 90.0, 180.0) - 90.0
     rounded[:, 1] = np.maximum(rounded[:, 1], 0.5 * step)
     keys, back = np.unique(rounded, axis=0, return_inverse=True)
-    states = locked_states(keys[:, 0], keys[:, 1], replace(cell, grain="y"), options or DirectOptions())
+    states = locked_states(keys[:, 0], keys[:, 1], replace(cell, grain="y"), DirectOptions())
     per_pair, pairs = states.found.lam.max(axis=2), states.cell.weave.pairs[:, :2]
     mine = [per_pair[:, (pairs == ring).any(axis=1)].max(axis=1) for ring in range(cell.weave.classes)]
     unit = np.where((states.found.status == "converged")[:, None], np.stack(mine, axis=1), np.nan)

@@ -13,13 +13,14 @@ or is elastic: `short`. And a curtain may be drawn together further than rings c
 folds, E* = E - fold with a positive semidefinite fold, and the flat pose E with the least fold is given: `fold`.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rve.common import Array, Flags, NotConverged, Rows, part_of
 from rve.common.tensor import WEIGHT, eigenvalues
+from rve.directions import product
 from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.system import Equations, add_lattice_curvature
@@ -33,6 +34,10 @@ from rve.strained.placed import shares
 
 _BLOCK, _MERGE = 1024, 1e-6
 """Strains solved together: larger blocks need more memory, smaller ones more time; and differences that are none."""
+_TOLERANCE = 1e-3
+"""Strain by which a pose may miss its target and still has "met" it; the law's own error is 4e-4."""
+_ALPHA, _BETA = np.arange(-45.0, 31.0, 15.0), np.array([2.0, 10.0, 20.0, 30.0, 45.0, 60.0, 70.0, 80.0, 88.0])
+"""Angles of the locked states that arrangements are interpolated between; more states cost time once per curtain."""
 POSE_MEANINGS = {
     "met": "the rings have the strain of the curtain, within the tolerance",
     "beyond": "the curtain is stretched further than rigid rings reach; the nearest pose is drawn",
@@ -49,23 +54,6 @@ _LADDER = (
 )
 """Stages, each started from the one before: the weights of a fold and of the arrangement against strain that rings fall
 short of, and the first and last complementarity. Stiff springs come first: with weak ones some cells lock."""
-
-
-@dataclass(frozen=True)
-class PoseOptions:
-    """How poses are found.
-
-    tolerance: strain by which a pose may miss its target and still has "met" it; the law's own error is 4e-4. states:
-    angles alpha and beta, degrees, of the locked states that arrangements are interpolated between; more states cost
-    time once per curtain. direct: options of the interior-point method.
-    """
-
-    tolerance: float = 1e-3
-    states: tuple[tuple[float, ...], tuple[float, ...]] = (
-        (-45.0, -30.0, -15.0, 0.0, 15.0, 30.0),
-        (2.0, 10.0, 20.0, 30.0, 45.0, 60.0, 70.0, 80.0, 88.0),
-    )
-    direct: DirectOptions = field(default_factory=DirectOptions)
 
 
 @dataclass(frozen=True)
@@ -105,21 +93,18 @@ class NearestPoses(Rows):
     solves: int
 
 
-def locked_arrangements(cell: Cell, options: PoseOptions) -> LockedArrangements:
+def locked_arrangements(cell: Cell) -> LockedArrangements:
     """Locked states under loads in all directions, to interpolate between; NotConverged if none is found."""
-    alpha, beta = (x.ravel() for x in np.meshgrid(*map(np.array, options.states), indexing="ij"))
-    found = locked_block(alpha.astype(float), beta, replace(cell, grain="y"), options.direct).found
+    found = locked_block(*product(_ALPHA, _BETA), replace(cell, grain="y"), DirectOptions()).found
     good = np.flatnonzero(found.status == "converged")
     if not len(good):
         raise NotConverged(f"r1 = {cell.r1:g}, r2 = {cell.r2:g}: no locked state was found to compare the rings with")
-    sides = weave_sides(cell, reference_sides(cell, options.direct))
+    sides = weave_sides(cell, reference_sides(cell, DirectOptions()))
     pose = found.pose.take(good)
     return LockedArrangements(pose, lattice_strain(pose.lattice, sides)[0], sides)
 
 
-def nearest_poses(
-    E: Array, cell: Cell, options: PoseOptions | None = None, states: LockedArrangements | None = None
-) -> NearestPoses:
+def nearest_poses(E: Array, cell: Cell, states: LockedArrangements | None = None) -> NearestPoses:
     """Admissible poses of the cell nearest to the strains E (n, 3), in weave axes; `states` if they are known already.
 
     >>> import numpy as np
@@ -127,8 +112,7 @@ def nearest_poses(
     >>> found.status.tolist(), bool(found.gap_mm.min() >= 0.0)
     (['met', 'folded'], True)
     """
-    options = options or PoseOptions()
-    states = states or locked_arrangements(cell, options)
+    states = states or locked_arrangements(cell)
     E = np.asarray(E, dtype=float).reshape(-1, 3)
     # A symmetric curtain has every strain twice: a mirrored weave is solved for E12 >= 0 only.
     flip = (E[:, 1] < 0.0) & cell.weave.has_images
@@ -138,21 +122,21 @@ def nearest_poses(
     blocks = []
     for i in range(0, len(targets), _BLOCK):
         with part_of(f"rings in strain {i + 1} of {len(targets)}"):
-            blocks.append(_settled(targets[i : i + _BLOCK], cell, options, states))
+            blocks.append(_settled(targets[i : i + _BLOCK], cell, states))
     poses, gaps, settled = zip(*blocks, strict=True)
     pose, gap, known = poses[0].join(poses[1:]), np.concatenate(gaps), np.concatenate(settled)
     rings = lattice_strain(pose.lattice, states.sides)[0]
     low, high = eigenvalues(rings - targets)
     short, fold = np.maximum(-low, 0.0), np.maximum(high, 0.0)
-    far = np.where(fold > options.tolerance, "folded", "beyond")
-    status = np.where(np.maximum(short, fold) <= options.tolerance, "met", np.where(known, far, "stalled"))
+    far = np.where(fold > _TOLERANCE, "folded", "beyond")
+    status = np.where(np.maximum(short, fold) <= _TOLERANCE, "met", np.where(known, far, "stalled"))
     found = NearestPoses(pose, rings, short, fold, cell.r1 * gap, status, len(targets)).take(back.ravel())
     rows = np.flatnonzero(flip)
     found.E[rows, 1] *= -1.0
     return replace(found, pose=found.pose.put(rows, mirrored(found.pose.take(rows))))
 
 
-def _settled(E: Array, cell: Cell, options: PoseOptions, states: LockedArrangements) -> tuple[Pose, Array, Flags]:
+def _settled(E: Array, cell: Cell, states: LockedArrangements) -> tuple[Pose, Array, Flags]:
     """Poses of a block of strains, their smallest gaps, and whether one of the last three stages has converged: at the
     edge of what rings reach the end of the path may be degenerate. A stage that stalls keeps the pose before it.
     """
@@ -162,13 +146,13 @@ def _settled(E: Array, cell: Cell, options: PoseOptions, states: LockedArrangeme
         springs = Spring(states.sides, fold, weak)
         # Weak springs leave weak contact forces, whose curvature counts all the same.
         equations = replace(Equations.of(cell.weave, cell.wire, load=springs), is_relative=False, idle=-1.0)
-        quick = replace(options.direct, mu_start=first, mu_end=last, attempts=1, max_iterations=50)
+        quick = DirectOptions(tolerance=max(last, 1e-9), mu_start=first, mu_end=last, attempts=1, max_iterations=50)
         with part_of(f"stage {stage + 1} of {len(_LADDER)}"):
-            found = solve_equilibrium(rows, equations, replace(quick, tolerance=max(last, 1e-9)), start)
+            found = solve_equilibrium(rows, equations, quick, start)
         start = found.pose
         if stage >= len(_LADDER) - 3:
             good |= found.status == "converged"
-    return found.pose, find_contacts(found.pose, cell.weave, cell.wire, options.direct.reach).min_gap, good
+    return found.pose, find_contacts(found.pose, cell.weave, cell.wire, DirectOptions.reach).min_gap, good
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from macro_fem.rings.curtain import Curtain, Told, curtain_of
 from macro_fem.rings.localize import find_sites, localize, place_rings, turns
 from rve.common.files import checksum
 from rve.drawn import ALONG, AROUND, DrawnRings
+from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import find_contacts
 from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, lattice_strain, second_pk
@@ -23,22 +24,22 @@ from rve.geometry.weave import SIX_IN_ONE
 from rve.solve import locked_block
 from rve.strained.forces import cell_forces, largest_forces
 from rve.strained.placed import axes_of_weave, fit_rings, shares
-from rve.strained.poses import PoseOptions, locked_arrangements, nearest_poses
+from rve.strained.poses import locked_arrangements, nearest_poses
 
-CELL, OPTIONS = Cell(), PoseOptions()
+CELL = Cell()
 WEIGHTS = np.array([1.0, 2.0, 1.0])
 
 
 @pytest.fixture(scope="module")
 def states():
-    return locked_arrangements(CELL, OPTIONS)
+    return locked_arrangements(CELL)
 
 
 @pytest.fixture(scope="module")
 def table(states):
     """Locked states of loads that lie between those that arrangements are interpolated from: pose, E, S."""
     alpha, beta = (x.ravel() for x in np.meshgrid([-38.0, -7.0, 5.0, 22.0, 40.0], [5.0, 25.0, 50.0, 65.0, 85.0]))
-    block = locked_block(alpha, beta, CELL, OPTIONS.direct)
+    block = locked_block(alpha, beta, CELL, DirectOptions())
     found, s = block.found, block.s
     E = lattice_strain(found.pose.lattice, states.sides)[0]
     return found.pose, E, second_pk(deformation_gradient(E), s), s
@@ -53,14 +54,14 @@ def is_admissible(found, cell):
 
 def test_a_locked_strain_gives_back_the_locked_rings(states, table):
     pose, E, _, _ = table
-    found = nearest_poses(E, CELL, OPTIONS, states)
+    found = nearest_poses(E, CELL, states)
     assert (found.status == "met").all()
     assert np.abs(found.E - E).max() < 1e-4
     assert np.abs(shares(found.pose) - shares(pose)).max() < 1e-4
     # The tilts of rings that slide on each other are softer than the strain: 1e-4 of strain turns them by 1e-2.
     assert np.abs(found.pose.normals - pose.normals).max() < 1e-2
     is_admissible(found, CELL)
-    again = nearest_poses(states.E, CELL, OPTIONS, states)
+    again = nearest_poses(states.E, CELL, states)
     assert np.abs(again.E - states.E).max() < 1e-4
     assert np.abs(again.pose.normals - states.pose.normals).max() < 2e-3
 
@@ -69,7 +70,7 @@ def test_too_large_a_strain_comes_back_to_the_locked_state_it_left_along_the_nor
     """Springs find by projection on the admissible strains what line loads find by equilibrium."""
     _, E, S, _ = table
     normal = S / np.sqrt(S**2 @ WEIGHTS)[:, None]
-    found = nearest_poses(E + 0.02 * normal, CELL, OPTIONS, states)
+    found = nearest_poses(E + 0.02 * normal, CELL, states)
     assert (found.status == "beyond").all()
     assert np.abs(found.E - E).max() < 5e-6
     largest = 0.5 * (normal[:, 0] + normal[:, 2]) + np.hypot(0.5 * (normal[:, 0] - normal[:, 2]), normal[:, 1])
@@ -82,10 +83,10 @@ def test_strains_inside_are_met_and_all_others_get_an_admissible_pose(states, ta
     _, E, _, _ = table
     rng = np.random.default_rng(5)
     share = rng.dirichlet(np.ones(len(E)), 20)
-    inside = nearest_poses(0.9 * share @ E, CELL, OPTIONS, states)
+    inside = nearest_poses(0.9 * share @ E, CELL, states)
     assert (inside.status == "met").all()
     assert np.maximum(inside.short, inside.fold).max() < 1e-3
-    wild = nearest_poses(rng.uniform(-0.5, 0.8, (20, 3)) * [1.0, 0.5, 1.0], CELL, OPTIONS, states)
+    wild = nearest_poses(rng.uniform(-0.5, 0.8, (20, 3)) * [1.0, 0.5, 1.0], CELL, states)
     is_admissible(wild, CELL)
     assert np.isfinite(wild.E).all()
     assert {"beyond", "folded"} <= set(wild.status)
@@ -93,9 +94,9 @@ def test_strains_inside_are_met_and_all_others_get_an_admissible_pose(states, ta
 
 def test_a_mesh_drawn_together_hangs_in_folds(states):
     """Pulled along x the mesh can be no wider than locked: what the curtain lacks in width is the fold, to 2e-3."""
-    pose = locked_block(np.array([0.0]), np.array([2.0]), CELL, OPTIONS.direct).found.pose
+    pose = locked_block(np.array([0.0]), np.array([2.0]), CELL, DirectOptions()).found.pose
     E = lattice_strain(pose.lattice, states.sides)[0]
-    found = nearest_poses(E - [0.0, 0.0, 0.03], CELL, OPTIONS, states)
+    found = nearest_poses(E - [0.0, 0.0, 0.03], CELL, states)
     assert found.status.tolist() == ["folded"]
     assert found.fold[0] == pytest.approx(0.03, abs=2e-3)
     assert found.short[0] < 1e-3
@@ -104,7 +105,7 @@ def test_a_mesh_drawn_together_hangs_in_folds(states):
 
 def test_the_mirror_image_of_a_strain_has_the_mirror_image_of_the_rings(states, table):
     _, E, _, _ = table
-    found, image = (nearest_poses(E * [1.0, sign, 1.0], CELL, OPTIONS, states) for sign in (1.0, -1.0))
+    found, image = (nearest_poses(E * [1.0, sign, 1.0], CELL, states) for sign in (1.0, -1.0))
     assert np.abs(found.E * [1.0, -1.0, 1.0] - image.E).max() < 1e-12
     assert np.abs(found.pose.normals * [-1.0, 1.0, 1.0] - image.pose.normals).max() < 1e-12
     assert found.solves < len(E) + 1
@@ -126,7 +127,7 @@ def sheet(F, E, S, turn, count=2):
 def test_a_uniform_curtain_gets_the_rings_of_one_locked_cell(states, table, hang, grain):
     """Every gap and every link of hundreds of rings in space, for a strained, sheared, turned sheet of turned weave."""
     _, E, S, _ = table
-    found = nearest_poses(E[3:4], CELL, OPTIONS, states)
+    found = nearest_poses(E[3:4], CELL, states)
     angle = np.radians(20.0)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     F = turn @ deformation_gradient(found.E)[0]
@@ -157,7 +158,7 @@ def test_the_grain_runs_where_the_weave_is_turned_to(states, grain, hang):
     at = {tuple(index): X for index, X in zip(sites.index.tolist(), sites.X, strict=True)}
     step = at[0, 0, 1] - at[0, 0, 0]
     np.testing.assert_allclose(step, 5.0 * states.sides[1] * along, atol=1e-9)
-    rest = nearest_poses(np.zeros((1, 3)), cell, OPTIONS, states)
+    rest = nearest_poses(np.zeros((1, 3)), cell, states)
     normal = place_rings(flat, sites, rest, np.zeros(len(sites.X), dtype=int), cell, axes)[1][:, :2]
     assert np.abs(normal @ along).min() > 0.3
     assert np.abs(normal @ [-along[1], along[0]]).max() < 1e-3
@@ -166,7 +167,7 @@ def test_the_grain_runs_where_the_weave_is_turned_to(states, grain, hang):
 def test_a_ring_taken_out_of_the_net_is_missed(states, table):
     """Four links lost, five rings concerned, and a ring pushed through its neighbour's wire has a negative gap."""
     _, E, S, _ = table
-    found = nearest_poses(E[3:4], CELL, OPTIONS, states)
+    found = nearest_poses(E[3:4], CELL, states)
     curtain = sheet(deformation_gradient(found.E)[0], E[3], S[3], np.eye(2))
     sites = find_sites(curtain, CELL, states.sides, np.eye(2))
     centre, normal = place_rings(curtain, sites, found, np.zeros(len(sites.X), dtype=int), CELL, np.eye(2))
@@ -187,7 +188,7 @@ def test_a_plane_curtain_turned_in_space_has_the_turned_rings(states, table, gra
     _, E, S, _ = table
     cell = replace(CELL, grain=grain)
     axes = axes_of_weave(cell, hang)
-    found = nearest_poses(E[:8], cell, OPTIONS, states)
+    found = nearest_poses(E[:8], cell, states)
     flat = sheet(deformation_gradient(E[3:4])[0], E[3], S[3], axes)
     sites = find_sites(flat, cell, states.sides, axes)
     Q = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
@@ -206,7 +207,7 @@ def test_a_plane_curtain_turned_in_space_has_the_turned_rings(states, table, gra
 def test_a_sheet_bent_to_a_cylinder_keeps_its_links(states, table):
     """Normals of the sheet are those of the cylinder, and all rings that were linked in the plane are linked on it."""
     _, E, _, _ = table
-    found = nearest_poses(E[3:4], CELL, OPTIONS, states)
+    found = nearest_poses(E[3:4], CELL, states)
     flat = sheet(deformation_gradient(found.E)[0], np.zeros(3), np.zeros(3), np.eye(2), 16)
     radius = 80.0
     angle = flat.x[:, 0] / radius
@@ -274,8 +275,8 @@ def _centre_of_second(found):
 
 def test_six_in_one_has_poses_too():
     cell = Cell(8.0, 1.0, SIX_IN_ONE)
-    states = locked_arrangements(cell, OPTIONS)
-    found = nearest_poses(states.E[:12], cell, OPTIONS, states)
+    states = locked_arrangements(cell)
+    found = nearest_poses(states.E[:12], cell, states)
     assert (found.status == "met").all()
     is_admissible(found, cell)
 
