@@ -45,7 +45,7 @@ def fit(table: Path, out: Path, kind: str | None, noise: float | None, resolutio
     say(result.report.text())
     if result.law.strength is not None:
         say(result.law.strength.text())
-    say(f"law written to {out}", f"a curtain of it: macro_fem run SCENE --law {out} --out FOLDER")
+    say(f"law written to {out}", f"a curtain of it: python -m macro_fem run SCENE --law {out} --out FOLDER")
     answer({"law": str(out), "report": asdict(result.report)})
     say_next(
         "homogenize", "plot", out, "--table", table, "--out", out.with_name(f"{out.stem}_pictures"), why="pictures"

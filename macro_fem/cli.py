@@ -85,22 +85,18 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
         say(*default_law_lines(law_path))
         summary = run_motion(scene, law_path, out, goes_on=goes_on, **files)
         say(*motion_lines(summary, out))
-    _answer_or_go_on(summary, "run", scene, law_path, "--out", out)
+    law_words = () if law_path is None else ("--law", law_path)
+    _answer_or_go_on(summary, "run", scene, *law_words, "--out", out)
     _say_next_of_curtain(out, summary)
 
 
-def _answer_or_go_on(summary: dict[str, Any], command: str, scene: Path, law_path: Path | None, *more: Any) -> None:
+def _answer_or_go_on(summary: dict[str, Any], command: str, *words: Any) -> None:
     """Print the summary; exit unless it has converged, of a run that was stopped with the command that goes on."""
     answer(summary)
     if summary["status"] == "stopped":
-        law = () if law_path is None else ("--law", law_path)
-        say_next("macro_fem", command, scene, *law, *more, "--continue", why="go on from there")
+        say_next("macro_fem", command, *words, "--continue", why="go on from there")
         raise click.exceptions.Exit(130)
-    _fail_unless(summary["status"] == "converged")
-
-
-def _fail_unless(converged: bool) -> None:
-    if not converged:
+    if summary["status"] != "converged":
         raise click.exceptions.Exit(1)
 
 
@@ -114,7 +110,7 @@ def _fail_unless(converged: bool) -> None:
 @click.option("--out", type=PATH, help="Folder for size.json, size.csv and size.png.")
 @click.option("--picture/--no-picture", default=True, help="Draw size.png (needs matplotlib).")
 def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None, picture: bool, **asked: Any) -> None:
-    """The largest pitch, bar or wind of SCENE, or the thinnest wire, with which it holds: prints one JSON object.
+    """The largest pitch, bar or wind of SCENE, or the thinnest wire, with which it holds.
 
     Exit code 0: found; 2: bad input, or no value holds.
     """
@@ -134,7 +130,7 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
     if out is not None:
         found.save(out, picture=picture)
     say(*filter(None, [found.note]), err=True)
-    answer(asdict(found), always=True)
+    answer(asdict(found), str(found))
 
 
 @main.command(epilog="Example: macro_fem modes scene.toml --law law.json --number 6 --out modes")
@@ -143,13 +139,15 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
 @_out
 @click.option("--picture/--no-picture", default=True, help="Draw modes.png (needs matplotlib and pyvista).")
 def modes(scene: Path, law_path: Path | None, number: int, out: Path, picture: bool) -> None:
-    """Natural frequencies of the curtain of SCENE at rest: prints one JSON object, and writes modes.vtu and modes.png.
+    """Natural frequencies of the curtain of SCENE at rest; writes modes.vtu and modes.png.
 
     Exit code 0: found; 1: the curtain at rest has not converged; 2: bad input.
     """
     from macro_fem.motion.modes import run_modes
 
-    answer(run_modes(scene, law_path, out, number=number, picture=picture), always=True)
+    found = run_modes(scene, law_path, out, number=number, picture=picture)
+    hertz = ", ".join(f"{one:.4g}" for one in found["frequencies_Hz"])
+    answer(found, f"natural frequencies in Hz: {hertz}; written to {out}")
 
 
 @main.command(
@@ -225,20 +223,18 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animatio
     from macro_fem.told import default_law_lines, every_ring_lines, motion_lines
 
     say(*default_law_lines(law_path))
-    plane = () if how["space"] else ("--plane",)
+    plane, law = () if how["space"] else ("--plane",), () if law_path is None else ("--law", law_path)
     if load_scene(scene).motion is not None:
         summary = run_motion(scene, law_path, out, animation=animation, goes_on=goes_on, **how)
         say(*motion_lines(summary, out))
-        _answer_or_go_on(summary, "rings", scene, law_path, *plane, "--out", out)
-        return
-    if goes_on or animation:
+    elif goes_on or animation:
         raise InputError(AT_REST if goes_on else NO_MOMENTS)
-    summary = run_rings(scene, law_path, out, **how)
-    say(*every_ring_lines(summary, out))
-    answer(summary)
-    _fail_unless(summary["status"] == "converged")
-    law = () if law_path is None else ("--law", law_path)
-    say_next("macro_fem", "compare", scene, *law, *plane, why="beside the membrane of the law")
+    else:
+        summary = run_rings(scene, law_path, out, **how)
+        say(*every_ring_lines(summary, out))
+    _answer_or_go_on(summary, "rings", scene, *law, *plane, "--out", out)
+    if "reached_s" not in summary:
+        say_next("macro_fem", "compare", scene, *law, *plane, why="beside the membrane of the law")
 
 
 @main.command(epilog="Example: macro_fem compare scene.toml --law law.json --out both.json")
@@ -264,7 +260,8 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: str, out: Pa
     answer(summary, "\n".join(side_by_side(summary)))
     if out is not None:
         write_text(out, json_text(summary))
-    _fail_unless(all(one.status == "converged" for one in ends))
+    if any(one.status != "converged" for one in ends):
+        raise click.exceptions.Exit(1)
 
 
 @main.command(epilog="Example: macro_fem localize curtain --out rings --window 0,0,100,100 --tubes")

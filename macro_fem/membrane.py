@@ -174,7 +174,7 @@ def order(solution: CurtainSolution, summary: dict[str, Any]) -> dict[str, Any]:
         "hooks": len(points),
         "hook_pitch_mm": next((one["pitch_mm"] for one in single if "pitch_mm" in one), None),
         "material": summary["ring_material"],
-        "covers_width_mm": float(np.ptp(solution.x[:, 0])),
+        "held_width_mm": float(np.ptp(solution.x[solution.problem.supports.mask.any(axis=1), 0])),
         "lowest_point_mm": summary["lowest_point_mm"],
     }
 

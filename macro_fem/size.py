@@ -63,12 +63,17 @@ class Size:
     curve: tuple[Row, ...]
     note: str | None = None
 
+    def __str__(self) -> str:
+        text = f"{self.vary} = {self.value:.6g} {VARIED[self.vary][0]} is the last that holds with a factor"
+        return f"{text} {self.factor_asked:g}: {digits(self.factor)} ({self.weakest})"
+
     def save(self, folder: str | Path, *, picture: bool = True) -> dict[str, Any]:
         """Write size.json, size.csv and size.png into `folder`; the record."""
         record = asdict(self)
         with job(folder, "size.json", record) as staged:
             rows = record["curve"]
-            write_text(staged / "size.csv", csv_text(list(rows[0]), (row.values() for row in rows)))
+            value = f"{self.vary}_{VARIED[self.vary][0].replace('/', '_per_')}"
+            write_text(staged / "size.csv", csv_text([value, *list(rows[0])[1:]], (row.values() for row in rows)))
             if picture:
                 _draw(staged / "size.png", self)
         return record

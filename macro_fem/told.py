@@ -30,7 +30,7 @@ def curtain_lines(summary: dict[str, Any], out: Path, *, explain: bool) -> Itera
     yield from hooks_lines(summary)
     yield from order_lines(summary["order"])
     if summary["status"] == "converged":
-        yield holds_line(summary)
+        yield f"{'without the factors of combinations: ' * ('envelope' in summary)}{holds_line(summary)}"
         yield from filter(None, [summary["support_forces_note"]])
     yield from combination_lines(summary)
     if "interval" in summary:
@@ -116,7 +116,7 @@ def order_lines(record: dict[str, Any]) -> list[str]:
         rings = f"{record['rings']} rings in {record['cells']} cells of the weave, "
     pitch = "" if record["hook_pitch_mm"] is None else f", {record['hook_pitch_mm']:g} mm apart along the mesh"
     lines += [f"  {rings}{digits(record['mass_kg'], 4)} kg; {record['hooks']} single points to hang by{pitch}"]
-    return [*lines, f"  covers {record['covers_width_mm']:.1f} mm, lowest point at {record['lowest_point_mm']:.1f} mm"]
+    return [*lines, f"  held over {record['held_width_mm']:.1f} mm, lowest point at {record['lowest_point_mm']:.1f} mm"]
 
 
 def combination_lines(summary: Mapping[str, Any]) -> list[str]:

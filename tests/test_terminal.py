@@ -132,9 +132,8 @@ def test_the_last_line_of_a_piped_command_says_what_to_do_next(command, there):
     if not last.startswith("next: "):
         assert command in ANSWERS | {"rve table", "rve sweep"}  # too few rows for a law
         return
-    script, following, *words = shlex.split(last.removeprefix("next: ").split("  #")[0])
-    group = GROUPS[script.replace("-", "_")]
-    group.commands[following].make_context(following, list(words))
+    _, _, script, following, *words = shlex.split(last.removeprefix("next: ").split("  #")[0])
+    GROUPS[script].commands[following].make_context(following, list(words))
     assert words[0].startswith("--") or os.path.exists(words[0])
     assert "._rings" not in words
 

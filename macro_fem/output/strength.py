@@ -181,9 +181,9 @@ def hook_rings(solution: CurtainSolution, known: Strength, cell: CellInfo) -> li
         return [NONE, NONE]
     joint = "welded" if known.joint == "welded" else "butted:worst"
     ring = pulled_ring(cell.r1_mm, cell.r2_mm, known.material, joint)
-    most = max(points, key=lambda one: one.force / one.rings)
-    limits = ring.first_yield_N, ring.collapse_N
-    return [Extreme(most.force / most.rings / limit, most.at, force=most) for limit in limits]
+    largest = max(one.force / one.rings for one in points)
+    most = next(one for one in points if one.force / one.rings >= 0.999 * largest)  # of mirrored hooks the first
+    return [Extreme(largest / limit, most.at, force=most) for limit in (ring.first_yield_N, ring.collapse_N)]
 
 
 def largest_borne(

@@ -17,6 +17,8 @@ OF_FORCE = (
     "the force at this point over the width of one cell"
 )
 """What is said of a factor that follows from the force at a point."""
+ROOM = 1.5
+"""What rings next to hooks bear at most over their estimate: ten scenes, `python -m benchmarks hooks --full`."""
 JUDGED = ("safety_factor", "weakest", "weakest_factor", "utilisation_too_low")
 """Keys of a summary that combinations of loads are judged by."""
 UTILISATIONS = tuple(f"utilisation_of_{what}_max" for what in ("averages", "point_forces", "hook_rings"))
@@ -74,7 +76,9 @@ def holds_line(summary: dict[str, Any]) -> str:
     elif summary["strength_note"] is not None and summary["utilisation_of_averages_max"] is None:
         parts = [f"strength of the rings not known: {summary['strength_note']}"]
     else:
-        parts = [f"holds with a factor {'of at most ' if too_low else ''}{digits(least)}" if found else "no load"]
+        room = any(link.factor < ROOM and "capacity" not in link.name for link in found)
+        ask = f" (ask for {ROOM:g}: rings next to hooks may bear so many times their estimate)" if room else ""
+        parts = [f"holds with a factor {'of at most ' if too_low else ''}{digits(least)}{ask}" if found else "no load"]
     for number, link in enumerate(found):
         material = f"({summary['ring_material']}, {summary['ring_yield_N_per_mm2'] or 0.0:g} N/mm2)"
         verb = "yields" if link.text.startswith("the ") else "yield"

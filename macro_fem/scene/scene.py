@@ -116,19 +116,14 @@ class Scene:
     def rectangle(cls, width: float, height: float, *, cells: int = 32, **curtain: Any) -> Scene:
         """A rectangle of width by height mm under its own weight, not hung yet; more keys of [curtain] by name.
 
-        >>> Scene.rectangle(1000, 500).hung_by("corners", gather=0.9).loaded_by("bar", mass=12).items[1]
-        Bar(mass=12.0, edge='bottom', straight=True)
+        >>> Scene.rectangle(1000, 500).hung_by("hooks", pitch=250).items[0].pitch
+        250.0
         """
         return cls(Rectangle(width, height, **curtain), mesh=Mesh(cells=cells))
 
     def hung_by(self, kind: str, **keys: Any) -> Scene:
         """The scene with one more support of a kind of [[support]], its keys by name; InputError as for a file."""
         more = read_records({"kind": kind, **keys}, Support.kinds, f"{self.source}: [support]")
-        return replace(self, items=(*self.items, *more))
-
-    def loaded_by(self, kind: str, **keys: Any) -> Scene:
-        """The scene with one more load, "bar", "point", "patch", "edge" or "wind", as in [[load.KIND]]."""
-        more = read_records({"kind": kind, **keys}, LiveLoad.kinds, f"{self.source}: [load]")
         return replace(self, items=(*self.items, *more))
 
 

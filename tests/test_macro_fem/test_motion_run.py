@@ -253,7 +253,7 @@ def test_modes_prints_one_object_with_ascending_frequencies(tmp_path):
     text = "[curtain]\nwidth = 60.0\nheight = 1000.0\n[mesh]\ncells = 2\n[support]\nkind = 'top'\n"
     text += "[load.wind]\nspeed = 0.01\ndirection = [0, 0, 1]\n"
     scene.write_text(text + "[[combination]]\nname = 'a'\n")
-    result = CliRunner().invoke(main, ["modes", str(scene), "--number", "2", "--out", str(tmp_path / "out")])
+    result = CliRunner().invoke(main, ["modes", str(scene), "--number", "2", "--json", "--out", str(tmp_path / "out")])
     assert result.exit_code == 0, result.output
     exact = [0.25 * j / np.pi * np.sqrt(G / 1000.0) for j in (2.404826, 5.520078)]
     assert json.loads(result.stdout)["frequencies_Hz"] == pytest.approx(exact, rel=1e-2)

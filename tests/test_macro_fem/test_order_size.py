@@ -43,7 +43,7 @@ def test_the_order_sheet_weighs_what_its_rings_weigh():
     assert (order["hooks"], order["hook_pitch_mm"]) == (4, pytest.approx(110.0))
     assert [order[key] for key in ("weave", "r1_mm", "r2_mm", "material")] == ["4-in-1", 5.0, 0.5, "steel"]
     assert order["lowest_point_mm"] == answer.summary["lowest_point_mm"]
-    assert order["covers_width_mm"] == pytest.approx(330.0, rel=0.02)
+    assert order["held_width_mm"] == pytest.approx(330.0, rel=1e-12)
     assert solve(hung(Corners(rings_per_hook=3))).summary["order"]["hooks"] == 4  # two are held twice
     disk = solve(Scene(macro_fem.Disk(60.0), [macro_fem.Top()], mesh=Mesh(cells=6))).summary["order"]
     assert disk["mesh_width_mm"] == disk["mesh_height_mm"] == 120.0  # not those of its polygon
@@ -131,13 +131,14 @@ def test_the_largest_pitch_divides_the_edge_and_the_next_one_does_not_hold(tmp_p
     asked = ["--vary", "pitch", "--from", "60", "--to", "330", "--factor", "0.9", "--out", str(tmp_path / "o")]
     done = CliRunner().invoke(main, ["size", str(tmp_path / "scene.toml"), *asked])
     assert done.exit_code == 0, done.output
-    found = json.loads(done.stdout)
+    assert done.stdout.startswith("pitch = ")
+    found = json.loads((tmp_path / "o" / "size.json").read_text())
     assert 330.0 / found["value"] == pytest.approx(round(330.0 / found["value"]))
     assert found["factor"] >= 0.9
     curve = {row["value"]: row["factor"] for row in found["curve"]}
     assert all(factor < 0.9 for value, factor in curve.items() if value > found["value"])
     assert (tmp_path / "o" / "size.png").exists()
-    assert pd.read_csv(tmp_path / "o" / "size.csv")["value"].tolist() == pytest.approx(list(curve), rel=1e-15)
+    assert pd.read_csv(tmp_path / "o" / "size.csv")["pitch_mm"].tolist() == pytest.approx(list(curve), rel=1e-15)
     pitch = replace(hung(), items=(Hooks(pitch=found["value"]), Bar(mass=2.0)))
     assert solve(pitch).safety_factor == pytest.approx(found["safety_factor"], rel=1e-9)
 

@@ -128,9 +128,7 @@ def say(*lines: str, err: bool = False) -> None:
 
 def say_next(package: str, *words: object, why: str = "") -> None:
     """The last sentence of a command: one that can be typed next, and what for."""
-    is_module = (click.get_current_context().find_root().info_name or "").startswith("python")
-    script = ["python", "-m", package] if is_module else [package.replace("_", "-")]
-    command = shlex.join([*script, *map(str, words)])
+    command = shlex.join(["python", "-m", package, *map(str, words)])
     say(f"next: {command}{f'  # {why}' if why else ''}")
 
 
