@@ -146,15 +146,19 @@ def _check_outside(one: PlacedObstacle, problem: CurtainProblem) -> None:
     scene.refuse(f"[obstacle] {one.obstacle.name}: {name} is {digits(deep[node], 4)} mm inside it{at}{slides}")
 
 
-def tangent_walls(body: PlacedObstacle, fem: SupportedFem, x: Array) -> Walls:
-    """The half-spaces that touch an obstacle where it is closest to the points that stay outside of it and can move,
-    for nodes at x. Those of a half-space have a hull that holds the mesh; of a body they are the nodes, with middles of
-    sides and cells where it clears cells.
+def kept_outside(body: PlacedObstacle, fem: SupportedFem) -> csr_matrix:
+    """The points that stay outside of an obstacle and can move. Those of a half-space have a hull that holds the mesh;
+    of a body they are the nodes, with middles of sides and cells where it clears cells.
     """
     at, item = fem.disc.hull, body.obstacle
     if isinstance(item, Body):
         at = fem.disc.meeting if item.clear == "cells" else fem.disc.at_nodes
-    at = at[np.flatnonzero(abs(at) @ ~np.all(fem.held, axis=1))]
+    return at[np.flatnonzero(abs(at) @ ~np.all(fem.held, axis=1))]
+
+
+def tangent_walls(body: PlacedObstacle, fem: SupportedFem, x: Array) -> Walls:
+    """The half-spaces that touch an obstacle where it is closest to `kept_outside`, for nodes at x."""
+    at = kept_outside(body, fem)
     return touching_walls(body, at, at @ x)
 
 

@@ -137,7 +137,10 @@ def _approach(
     """
     held = np.where(problem.fem.held, first.x, 0.0)
     before = 0.0 if start is None else start.problem.factor
-    done, stride, x, last = 0.0, _stride(problem, before), first.x, start
+    # the part of their moves that no body should exceed at once: farther, and it may pass between nodes
+    parts = [one.obstacle.breadth / max(float(np.linalg.norm(one.obstacle.move)), 1e-300) for one in problem.bodies]
+    stride = max(SHORTEST, min([1.0, *(PACE * part / max(problem.factor - before, 1e-300) for part in parts)]))
+    done, x, last = 0.0, first.x, start
     while True:
         part = min(1.0, done + stride)
         factors = (before + done * (problem.factor - before), before + part * (problem.factor - before))
@@ -156,12 +159,6 @@ def _approach(
         done, x, last = part, found.x, found
 
 
-def _stride(problem: CurtainProblem, before: float) -> float:
-    """The part of their moves that no body should exceed at once: farther, and it may pass between nodes."""
-    parts = [one.obstacle.breadth / max(float(np.linalg.norm(one.obstacle.move)), 1e-300) for one in problem.bodies]
-    return max(SHORTEST, min([1.0, *(PACE * part / max(problem.factor - before, 1e-300) for part in parts)]))
-
-
 class _Watch:
     """How deep points of the mesh, a third of half a body's least width apart, have been inside it, over that half.
 
@@ -178,12 +175,9 @@ class _Watch:
     def look(self, bodies: Sequence[PlacedObstacle], before: Array, after: Array) -> None:
         """Look at straight ways between two shapes (n_nodes, d)."""
         start, end = self.lattice @ before, self.lattice @ after
-        way = np.linalg.norm(end - start, axis=1)
         for body in bodies:
             half = body.obstacle.breadth
-            may = np.flatnonzero(0.5 * (body.gap(start) + body.gap(end) - way) < -self.deepest * half)
-            deep = -float(body.least_gap(start[may], end[may]).min(initial=0.0))
-            self.deepest = max(self.deepest, deep / half)
+            self.deepest = body.deepest(start, end, self.deepest * half) / half
 
 
 def _pose(problem: CurtainProblem, tangents: list[Walls], wind: Array) -> CurtainProblem:

@@ -138,12 +138,7 @@ def _factor(row: Mapping[str, Any]) -> str:
 
 
 def governing_line(summary: Mapping[str, Any]) -> str:
-    """The combination that governs, and whether the curtain holds under it, as far as that is known.
-
-    >>> most = {"governing": "ultimate", "weakest_factor": 1.9, "weakest": "mesh", "utilisation_too_low": "..."}
-    >>> governing_line({"envelope": most, "combinations": []})
-    'governing combination: ultimate, holds, factor of at most 1.9 (mesh)'
-    """
+    """The combination that governs, and whether the curtain holds under it, as far as that is known."""
     most = summary["envelope"]
     factor, text = most["weakest_factor"], f"governing combination: {most['governing']}"
     if failed := [row["name"] for row in summary["combinations"] if row["status"] != "converged"]:

@@ -34,7 +34,10 @@ GAIN = 1e-3
 SAFETY, LEAST_CHANGE, MOST_CHANGE = 0.9, 0.3, 1.5
 """A step follows the cube root of its error; changes beyond 1 + sqrt(2) would make BDF2 unstable."""
 
-End = Literal["converged", "stopped", "stalled", "infeasible"]
+HALVINGS = 6
+"""How often a step that is not solved, or passes a body by, is taken in two halves."""
+
+End = Literal["converged", "stopped", "stalled", "infeasible", "pierced"]
 """How a run ended."""
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from macro_fem.motion.pace import Failed, Frame, Mover
+from macro_fem.motion.pace import HALVINGS, Failed, Frame, Mover
 from macro_fem.motion.stage import TONNE, relative_wind, scene_at
 from macro_fem.motion.step import Account, Moment, StepEnd, TimeStep
 from macro_fem.rings.every_ring import EveryRing
@@ -26,8 +26,6 @@ from rve.common.drawing.plane import new_figure, save_figure
 from rve.common.drawing.space import new_plotter
 from rve.common.optional import Plotter
 
-HALVINGS = 6
-"""How often a step that is not solved is taken in two halves."""
 NEAR = 1e-6
 """Rings within this part of r1 of where supports hold them are there."""
 KEPT = ("reaction", "wall_force", "kkt_residual")

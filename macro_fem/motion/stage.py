@@ -9,10 +9,10 @@ from scipy import sparse
 from macro_fem.drag import wind_density
 from macro_fem.fem.assembly import load_vector
 from macro_fem.motion.step import Moment, TimeStep
-from macro_fem.problem import CurtainProblem, placed_obstacles, tangent_walls, touching_walls
+from macro_fem.problem import CurtainProblem, kept_outside, placed_obstacles, tangent_walls, touching_walls
 from macro_fem.scene.loads import BREEZE, PER_MM2, areal_mass, bar_masses, breeze, nodal_forces
 from macro_fem.scene.moving import Ball, at_time
-from macro_fem.scene.obstacles import unit
+from macro_fem.scene.obstacles import Body, PlacedObstacle, Sphere, unit
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Timed, Wind
 from macro_fem.solution import CurtainSolution
@@ -125,6 +125,7 @@ class Contacts:
 
     def __post_init__(self) -> None:
         self.obstacles, self.n = placed_obstacles(self.problem), self.problem.disc.n_nodes
+        self.old = placed_obstacles(self.before or self.problem)
         self.near: dict[int, np.ndarray] = {}
 
     def tangents(self, x: Array) -> Walls:
@@ -161,6 +162,16 @@ class Contacts:
         pairs = zip(self.balls, x[self.n :], strict=True)
         return [ball.radius - float(np.linalg.norm(at - centre, axis=1).min()) for ball, centre in pairs]
 
+    def passed(self, start: Array, end: Array) -> float:
+        """How deep in a body points of the curtain have been on straight ways, seen from it, over half its width."""
+        fem, n, pairs = self.problem.fem, self.n, zip(self.obstacles, self.old, strict=True)
+        met = [(new, new.shift - old.shift) for new, old in pairs if isinstance(new.obstacle, Body)]
+        for ball, old, new in zip(self.balls, start[n:], end[n:], strict=True):
+            met.append((PlacedObstacle(-1, Sphere(tuple(new), ball.radius), 1.0, 3), new - old))
+        points = ((one, way, kept_outside(one, fem)) for one, way in met)
+        deep = (one.deepest(at @ start[:n] + way, at @ end[:n]) / one.obstacle.breadth for one, way, at in points)
+        return max(deep, default=0.0)
+
     def check_start(self, x: Array) -> None:
         """InputError for a ball that the curtain, an obstacle or another ball is inside of."""
         met = [(f" {ball.name}: the curtain", deep) for ball, deep in zip(self.balls, self.depths(x), strict=True)]
@@ -176,14 +187,14 @@ class Contacts:
     def work(self, walls: Walls, force: Array, x: Array) -> tuple[float, float]:
         """Pushes `force` (m,) of tangent half-spaces times the moves of obstacles along them, and times the gaps at the
         start x (n, d), N mm."""
-        moved, touched, before = 0.0, 0.0, placed_obstacles(self.before or self.problem)
+        moved, touched = 0.0, 0.0
         for number in np.unique(walls.owner):
             which = np.flatnonzero(walls.owner == number)
             own, push = walls.take(which), force[which]
             if number < 0:
                 touched += float(push @ (np.linalg.norm(own.at @ x, axis=1) - own.offset))
                 continue
-            old, new = before[number], self.obstacles[number]
+            old, new = self.old[number], self.obstacles[number]
             offset = new.offset(own.normal)  # less than a ball's by its radius
             moved += float(push @ (offset - old.offset(own.normal)))
             touched += float(push @ (old.gap(own.at @ x) - (own.offset - offset)))

@@ -105,10 +105,6 @@ class TimeStep:
 
     dead: weight; live: other loads that do not depend on the velocity. drag: symmetric blocks C (n, d, d) in N s/mm of
     forces -C v that belong to `live`; damping (n,) or one for all: 1/s, of forces -damping M v.
-
-    >>> start, none = Moment(0.0, np.zeros((1, 2)), np.ones((1, 2))), np.zeros((1, 2))
-    >>> TimeStep(start, None, 0.5, np.ones(1), none, none).x_hat.tolist()
-    [[0.5, 0.5]]
     """
 
     now: Moment

@@ -118,12 +118,7 @@ def patch_load(load: PatchLoad, scene: Scene, mesh: CurtainMesh, disc: Discretiz
 
 
 def disk_areas(corners: Array, centre: Array, radius: float) -> Array:
-    """The area (n,) that each of the polygons with these corners (n, k, 2) shares with a disk: triangles, sectors.
-
-    >>> square = np.array([[[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]]])
-    >>> bool(np.allclose(disk_areas(square, np.zeros(2), 2.0), np.pi))
-    True
-    """
+    """The area (n,) that each of the polygons with these corners (n, k, 2) shares with a disk: triangles, sectors."""
     a = corners - centre
     b = np.roll(a, -1, axis=1)
     along = b - a

@@ -80,10 +80,5 @@ def scaled(item: Kind, share: float, keys: tuple[str, ...] = ("force", "move", "
 
 
 def at_time(item: Kind, t: float) -> Kind:
-    """The item as it is at the time t, s: what its history says, in place of the whole.
-
-    >>> from macro_fem import Edge
-    >>> at_time(Edge("top", move=(10.0, 0.0), history=((0.0, 0.0), (2.0, 1.0))), 0.5).move
-    (2.5, 0.0)
-    """
+    """The item as it is at the time t, s: what its history says, in place of the whole."""
     return scaled(item, float(np.interp(t, *np.transpose(item.history)))) if item.history else item

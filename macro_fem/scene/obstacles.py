@@ -247,3 +247,9 @@ class PlacedObstacle:
             low, high = np.where(first > second, low + third, low), np.where(first > second, high, high - third)
         ends = np.minimum(self.gap(start), self.gap(end))
         return np.minimum(ends, self.gap(start + 0.5 * (low + high)[:, None] * (end - start)))
+
+    def deepest(self, start: Array, end: Array, than: float = 0.0) -> float:
+        """Largest depth in mm, if more than `than`, of straight ways between places (n, d) inside the obstacle."""
+        away = self.gap(start) + self.gap(end) - np.linalg.norm(end - start, axis=1)
+        may = np.flatnonzero(away < -2.0 * than)
+        return max(than, -float(self.least_gap(start[may], end[may]).min(initial=0.0)))

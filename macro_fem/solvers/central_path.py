@@ -177,7 +177,9 @@ def _find_stop(place: _Place, inner: _Place, load: Array, options: PathOptions, 
     """Why the path ends at a place after so many steps; None where it goes on, as it does while a guide acts or the
     answer's own numbers are not as good as asked.
     """
-    if _is_certificate(place.program, place.now):
+    now, program = place.now, place.program
+    is_dual = not program.lead and now.outside != 0.0 and now.dual > 0.0
+    if is_dual and float(np.abs(now.r_y).sum()) / program.total < 1e-6 * now.dual:  # y proves that there is no z
         return "blocked" if len(place.state.u) else "infeasible"
     is_free = place.program.load is load
     is_close = is_free and place.now.error < options.gap and place.violation < options.violation
@@ -225,11 +227,3 @@ def _make_result(place: _Place, stop: str, inner: _Place, steps: int, options: P
         reach=Reach(0.0, 1.0 / (1.0 + excess)) if stop == "infeasible" else FREE,
         wall_forces=program.rows.reactions(place.state.u),
     )
-
-
-def _is_certificate(program: Program, now: Measure) -> bool:
-    """Whether y proves that no admissible z exists: its dual value is large against load and unbalanced forces."""
-    if program.lead or now.outside == 0.0 or now.dual <= 0.0:
-        return False
-    stress_only = float(np.abs(now.r_y).sum()) / program.total
-    return stress_only < 1e-6 * now.dual

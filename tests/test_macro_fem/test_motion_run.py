@@ -23,7 +23,6 @@ from macro_fem.motion.step import Moment, kinetic_energy
 from macro_fem.output.forces import winds
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.loads import wind_pressure
-from macro_fem.scene.moving import Ball
 from macro_fem.scene.scene import read_scene
 from rve.common.errors import InputError
 from tests.test_macro_fem.sheets import solve_scene
@@ -133,15 +132,13 @@ def test_a_falling_sheet_comes_to_rest_on_the_floor():
     assert told["mean_y_mm"][-1] == pytest.approx(-20.0, abs=1.0)
 
 
-def test_a_ball_thrown_into_a_loose_sheet_keeps_momentum():
-    body = {"kind": "sphere", "radius": 80.0, "mass": 0.3, "at": [200.0, 200.0, 85.0], "velocity": [0.0, 0.0, -2000.0]}
-    motion = {"duration": 0.03, "step": 0.005, "start": "reference"}
-    tables = FREE | {"load": {"gravity": 0.0}, "body": body, "motion": motion}
-    found, _ = moved(tables)
-    masses = masses_of(found.frames[0].problem, read_scene(SHEET | tables).of(Ball))
-    momenta = np.array([masses @ frame.moment.v for frame in found.frames])
-    assert np.abs(momenta - momenta[0]).max() < 1e-10 * np.abs(momenta[0]).max()
-    assert found.frames[-1].moment.v[-1, 2] > -1950.0
+@pytest.mark.parametrize("step", [{"step": 0.03}, pytest.param({}, marks=pytest.mark.slow)])
+def test_a_fast_ball_is_not_passed_by(step):
+    """In steps as long as it takes from one side of the sheet to the other it went through untouched."""
+    sheet = {"curtain": {"width": 300.0, "height": 300.0}, "mesh": {"cells": 6}, "support": TOP | {"gather": 0.9}}
+    ball = {"kind": "sphere", "radius": 40.0, "mass": 0.1, "at": [150.0, 100.0, 300.0], "velocity": [0.0, 0.0, -4e3]}
+    found, _ = moved(sheet | {"body": ball, "motion": {"duration": 0.15, **step}})
+    assert found.frames[-1].moment.v[-1, 2] == pytest.approx(-2400.0, rel=0.15)  # steps of 0.001 s
 
 
 def test_balls_fall_on_a_floor_and_strike_each_other():
