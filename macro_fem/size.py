@@ -187,8 +187,10 @@ def _row(scene: Scene, who: Any, vary: str, value: float) -> Row:
     if told["status"] != "converged":
         return Row(value, None, None, None, str(told["message"]))
     worst = told.get("envelope", told)
-    factors = worst["weakest_factor"], worst["safety_factor"]
-    return Row(value, *factors, worst["weakest"], "converged", worst["utilisation_too_low"])
+    if (factor := worst["weakest_factor"]) is None:
+        unknown = f"the strength of the rings is not known: {told['strength_note']}"
+        return Row(value, None, None, None, unknown if told["utilisation_max"] is None else "there is no load")
+    return Row(value, factor, worst["safety_factor"], worst["weakest"], "converged", worst["utilisation_too_low"])
 
 
 def _changed(scene: Scene, vary: str, value: float) -> Scene:

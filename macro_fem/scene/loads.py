@@ -173,11 +173,7 @@ def ring_solidity(cell: CellInfo) -> float:
 
 
 def drag_coefficient(solidity: Array | float) -> Array:
-    """C_D (...) of free-standing screens, per total area, from 0 (nothing there) to 4/3 (solid); see the module header.
-
-    >>> drag_coefficient(np.array([0.8, 0.7, 0.5, 0.3])).round(2).tolist()
-    [1.29, 1.22, 1.0, 0.64]
-    """
+    """C_D (...) of free-standing screens, per total area, from 0 (nothing there) to 4/3 (solid): see the header."""
     open_2 = np.clip(1.0 - np.asarray(solidity), 0.0, 1.0) ** 2
     low, high = np.zeros_like(open_2), np.ones_like(open_2)
     for _ in range(HALVINGS):

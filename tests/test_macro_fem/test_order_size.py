@@ -110,7 +110,10 @@ def test_a_pitch_finer_than_the_mesh_takes_more_cells():
     found = macro_fem.largest_that_holds(scene, None, "pitch", (50.0, 110.0), 0.1)
     assert [row.status for row in found.curve] == ["converged"] * len(found.curve)
     assert (found.value, found.note) == (pytest.approx(110.0), None)
-    scene, law = replace(scene, items=(Hooks(pitch=110.0, capacity=9.0),)), fit(solve_table(Cell(), grid(15.0))).law
+    law = fit(solve_table(Cell(), grid(15.0))).law
+    with pytest.raises(InputError, match="factor 1: the strength of the rings is not known: the law was made without"):
+        macro_fem.largest_that_holds(scene, law, "pitch", (100.0, 120.0), 1.0)  # said: converged
+    scene = replace(scene, items=(Hooks(pitch=110.0, capacity=9.0),))
     assert "rve.with_rings" in macro_fem.largest_that_holds(scene, law, "pitch", (100.0, 120.0), 0.1).note
     notched = Outline([(0, 0), (200, 0), (200, 150), (150, 150), (150, 120), (50, 120), (50, 150), (0, 150)])
     two_lines = Scene(notched, [Hooks(pitch=50.0, capacity=1.0)], mesh=Mesh(cells=8))
