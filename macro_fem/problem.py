@@ -108,16 +108,20 @@ def _with_obstacles(problem: CurtainProblem) -> CurtainProblem:
     obstacles = placed_obstacles(problem)
     side = problem.mesh.longest_side
     for one in obstacles:
-        if one.obstacle.breadth < THINNEST * side:
-            scene.refuse(
-                f"[obstacle] {one.obstacle.name}: half its least width, {digits(one.obstacle.breadth, 4)} mm, is less "
-                f"than a fifth of the sides of cells, up to {digits(side, 4)} mm, between which it would pass: use "
-                "more cells"
-            )
+        check_breadth(scene, f"[obstacle] {one.obstacle.name}", one.obstacle.breadth, side)
         _check_outside(one, problem)
     bodies = tuple(one for one in obstacles if isinstance(one.obstacle, Body))
     flat = [tangent_walls(one, fem, fem.reference) for one in obstacles if not isinstance(one.obstacle, Body)]
     return replace(problem, walls=Walls.joined([problem.walls, *flat]), bodies=bodies)
+
+
+def check_breadth(scene: Scene, name: str, half: float, side: float) -> None:
+    """InputError for a body, by half its least width, that would pass between the points of cells with such sides."""
+    if half < THINNEST * side:
+        scene.refuse(
+            f"{name}: half its least width, {digits(half, 4)} mm, is less than a fifth of the sides of cells, up to "
+            f"{digits(side, 4)} mm, between which it would pass: use more cells"
+        )
 
 
 def placed_obstacles(problem: CurtainProblem) -> list[PlacedObstacle]:

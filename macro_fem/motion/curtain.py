@@ -19,7 +19,7 @@ from macro_fem.output import strength
 from macro_fem.output.files import curtain_mesh
 from macro_fem.output.pictures import figures, side_by_side
 from macro_fem.output.space_view import Titled, drawn, save_panels
-from macro_fem.problem import CurtainProblem, make_problem
+from macro_fem.problem import CurtainProblem, check_breadth, make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import Sphere
 from macro_fem.scene.scene import Scene
@@ -71,6 +71,8 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         self.mesh = build_mesh(scene_at(scene, 0.0), self.law.cell)
         self.what, self.size = f"{self.mesh.mesh.t.shape[1]} cells", self.mesh.size
         self.is_rigid = not scene.solver.is_elastic
+        for ball in self.balls:
+            check_breadth(scene, f"[[body]] {ball.name}", ball.radius, self.mesh.longest_side)
 
     def act(self, t: float) -> tuple[CurtainProblem, SupportedFem]:
         problem = make_problem(scene_at(self.scene, t), self.law, self.mesh, released=self.released)

@@ -226,12 +226,6 @@ def judged(
 
     stop: why the solver stopped, "infeasible" by the supports, "blocked" by obstacles, or a key of `WHY`; relaxation:
     by how much the law was relaxed, None where rings are elastic.
-
-    >>> asked = Evidence(1e-9, 1e-9, 1e-8)
-    >>> judged("closed", Evidence(1e-10, 0.0, 0.0), asked, 9).status
-    'converged'
-    >>> judged("closed", Evidence(0.048, 0.0, 0.0), asked, 9).status
-    'stalled'
     """
     if stop == "infeasible" or reach.is_out:
         return Verdict(Status.INFEASIBLE, INFEASIBLE.format(excess=100.0 * reach.excess))

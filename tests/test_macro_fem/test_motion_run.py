@@ -134,7 +134,6 @@ def test_a_falling_sheet_comes_to_rest_on_the_floor():
 
 @pytest.mark.parametrize("step", [{"step": 0.03}, pytest.param({}, marks=pytest.mark.slow)])
 def test_a_fast_ball_is_not_passed_by(step):
-    """In steps as long as it takes from one side of the sheet to the other it went through untouched."""
     sheet = {"curtain": {"width": 300.0, "height": 300.0}, "mesh": {"cells": 6}, "support": TOP | {"gather": 0.9}}
     ball = {"kind": "sphere", "radius": 40.0, "mass": 0.1, "at": [150.0, 100.0, 300.0], "velocity": [0.0, 0.0, -4e3]}
     found, _ = moved(sheet | {"body": ball, "motion": {"duration": 0.15, **step}})

@@ -93,6 +93,7 @@ motion = {duration = 1e-300} -> expected a number >= 1e-09
 motion.duration = 1.0; body = {kind = "sphere", radius = 50, mass = -1, at = [50, 50, 9]} -> mass = -1
 motion.duration = 1.0; solver.space = true; body = {kind = "sphere", radius = 50, mass = 1, at = [50, 50, 9]} -> inside
 motion.duration = 1.0; obstacle.kind = "floor"; body = {kind = "sphere", radius = 9, mass = 1, at = [0, 5, 99]} -> 4 mm
+motion.duration = 1.0; body = {kind = "sphere", radius = 2, mass = 1, at = [0, 5, 99]} -> between which it would pass
 motion.duration = 1.0; support = {kind = "top", history = [[1.0, 0.0], [0.5, 1.0]]} -> does not come after
 motion.duration = 1.0; support = {kind = "top", history = [[0.0, nan]]} -> history
 motion.duration = 1.0; support = {kind = "top", history = [[0.0, 0.0], [1.0, 1.0]]} -> without a move
