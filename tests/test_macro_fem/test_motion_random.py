@@ -44,7 +44,7 @@ def draw(seed):
     if chance.random() < 0.3:
         tables["obstacle"] = {"kind": "floor", "height": -chance.uniform(5.0, 20.0)}
     if chance.random() < 0.5:
-        radius = chance.uniform(30.0, 60.0)
+        radius = max(chance.uniform(30.0, 60.0), 120.0 / tables["mesh"]["cells"])
         tables["body"] = {"kind": "sphere", "radius": radius, "mass": chance.uniform(0.1, 2.0),
                           "at": [0.5 * width, 0.5 * height, radius + chance.uniform(5.0, 30.0)],
                           "velocity": [0.0, 0.0, -chance.uniform(200.0, 2000.0)]}  # fmt: skip
@@ -102,7 +102,7 @@ def test_300_large_steps_end_with_a_status(block):
         step = random.Random(seed).choice([0.05, 0.2, 1.0])
         tables["motion"] |= {"duration": 2.0 * step}
         found = run(tables, step)
-        assert found.status in ("converged", "stalled", "infeasible"), seed
+        assert found.status in ("converged", "stalled", "infeasible", "pierced"), seed
         assert found.message
         if found.status == "converged":
             check(found, tables)
