@@ -12,7 +12,7 @@ import numpy as np
 
 from rve.common import Array, Index
 from rve.common.tensor import double_dot, trace
-from rve.equilibrium.interior_point import NEVER, DirectOptions, Equilibrium, solve_equilibrium, unit_loads
+from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
 from rve.equilibrium.limits import polish, shortest
 from rve.equilibrium.system import Equations, on_coordinates
 from rve.geometry.cell import Cell, weave_sides
@@ -85,7 +85,7 @@ def solve_dead(S: Array, equations: Equations, options: DirectOptions, start: Po
     The force of a dead load grows with the stretch, so mu falls slowly. Just inside rank one the weak second load moves
     the cell along a curved valley, which steps with second-order corrections follow: they are tried next.
     """
-    first = _unrejected(options, shrink=0.3, max_iterations=options.max_iterations + 50)
+    first = _once(options, shrink=0.3, max_iterations=options.max_iterations + 50)
     found = solve_equilibrium(S, equations, first, start)
     left = np.flatnonzero(found.status != "converged")
     if len(left) and options.attempts > 1:
@@ -97,12 +97,12 @@ def solve_dead(S: Array, equations: Equations, options: DirectOptions, start: Po
 
 def _patient(options: DirectOptions) -> DirectOptions:
     """Options of loads that stall: mu falls slowly, and steps follow curved valleys."""
-    return _unrejected(options, shrink=0.5, corrections=2, tolerance=max(options.tolerance, TOLERANCE))
+    return _once(options, shrink=0.5, corrections=2, tolerance=max(options.tolerance, TOLERANCE))
 
 
-def _unrejected(options: DirectOptions, **changed: Any) -> DirectOptions:
-    """One attempt that takes back no step and ends where round-off of merging contacts begins."""
-    return replace(options, attempts=1, power=1.0, rejection=NEVER, mu_end=max(MU_END, options.mu_end), **changed)
+def _once(options: DirectOptions, **changed: Any) -> DirectOptions:
+    """One attempt that ends where round-off of merging contacts begins."""
+    return replace(options, attempts=1, power=1.0, mu_end=max(MU_END, options.mu_end), **changed)
 
 
 def open_gaps(pose: Pose, equations: Equations, margin: float, reach: float) -> Pose:
@@ -129,7 +129,7 @@ def open_gaps(pose: Pose, equations: Equations, margin: float, reach: float) -> 
 def restart(loads: Array, equations: Equations, start: Pose, margin: float, options: DirectOptions) -> Equilibrium:
     """Locked states under `loads` (n, 3) from the locked poses `start`, whose gaps are first opened to `margin`."""
     least, most = max(options.tolerance, TOLERANCE), min(90, options.max_iterations)
-    near = _unrejected(options, mu_start=margin, shrink=0.3, max_iterations=most, tolerance=least)
+    near = _once(options, mu_start=margin, shrink=0.3, max_iterations=most, tolerance=least)
     return solve_equilibrium(loads, equations, near, open_gaps(start, equations, margin, options.reach))
 
 

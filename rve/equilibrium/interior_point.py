@@ -23,8 +23,6 @@ from rve.geometry.pose import Pose, moved, start_pose
 
 SLOW = (0.5, 0.7)
 """Factors on mu of the attempts after the first; 0.5 solves most loads that stall, 0.3 fewer, 0.7 some of the rest."""
-NEVER = 1e300
-"""Value of `DirectOptions.rejection` that rejects no step."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,6 @@ class DirectOptions(Typed):
     max_iterations: per case and attempt; attempts after the first get four times as many.
     attempts: tries per case; those after the first lower mu slowly.
     patience: iterations without progress after which mu is lowered off the central path.
-    rejection: a step that multiplies the merit by more than this is taken back.
     corrections: second-order corrections of a step, which follow curved valleys (`rve.equilibrium.steps`).
     branches: "largest" looks for the locked state of largest work wherever several coexist, "first" keeps the one
     reached from the slack pose.
@@ -56,7 +53,6 @@ class DirectOptions(Typed):
     max_iterations: Annotated[int, Meta(ge=0, le=1_000_000)] = 150
     attempts: Annotated[int, Meta(ge=1, le=100)] = 3
     patience: Annotated[int, Meta(ge=1, le=1_000_000)] = 20
-    rejection: Annotated[float, Meta(ge=1.0, le=NEVER)] = 3.0
     corrections: Annotated[int, Meta(ge=0, le=10)] = 0
     branches: Literal["largest", "first"] = "largest"
     reference: Literal["side-by-side", "locked"] = "side-by-side"
@@ -110,7 +106,7 @@ class LockedStates(Rows):
 @dataclass(frozen=True)
 class PathState(Rows):
     """Cases still in the batch: row in the result, load, their equations, path parameter mu; best and last merit;
-    stall: iterations without progress; radius: trust radius; moved: length of the last step.
+    stall: iterations without progress; radius: trust radius.
     """
 
     row: Index
@@ -124,7 +120,6 @@ class PathState(Rows):
     last: Array
     stall: Index
     radius: Array
-    moved: Array
     R: Array
     iterations: Index
 
@@ -149,13 +144,13 @@ def iterate(state: PathState, equations: Equations, options: DirectOptions) -> P
     share = admitted_share((1.0 - np.minimum(0.01, mu[:, 0])) * gap, np.matmul(state.system.G, dq[..., None])[..., 0])
     dq *= np.minimum(share, state.radius / np.maximum(np.abs(dq).max(axis=1), 1e-300))[:, None]
     floor = np.minimum(0.01 * con.min_gap, 0.1 * state.mu)
-    pose, contacts, length = accept_step(state.pose, con, dq, floor, equations, options.reach, valley)
+    pose, contacts = accept_step(state.pose, con, dq, floor, equations, options.reach, valley)
     dlam *= admitted_share(0.99 * lam, dlam)[:, None]
     lam = carry_forces(con, (lam + dlam).reshape(state.lam.shape), contacts, state.mu)
     centre = mu / np.where(contacts.present, np.maximum(contacts.gap, 1e-16), 1.0)
     lam = np.where(contacts.present, np.clip(lam, 1e-8 * centre, 1e8 * centre), 0.0)
     system = equations.assemble(pose, contacts, lam, state.s)
-    return replace(state, pose=pose, contacts=contacts, lam=lam, system=system, moved=length * np.abs(dq).max(axis=1))
+    return replace(state, pose=pose, contacts=contacts, lam=lam, system=system)
 
 
 def update_path(state: PathState, off: Array, merit: Array, options: DirectOptions) -> PathState:
@@ -182,16 +177,9 @@ def update_path(state: PathState, off: Array, merit: Array, options: DirectOptio
 def iterate_to_end(state: PathState, equations: Equations, options: DirectOptions) -> tuple[list[PathState], PathState]:
     """Iterate until every case has converged or the iterations are used up: converged cases, and the others."""
     finished: list[PathState] = []
-    anchor, cases = None, len(state.row)
+    cases = len(state.row)
     for iteration in range(options.max_iterations + 1):
         R, off, merit = measure_merit(state)
-        worse = merit > options.rejection * state.last
-        if anchor is not None and worse.any():
-            rows = np.flatnonzero(worse)
-            radius = np.maximum(0.3 * np.minimum(state.radius, state.moved), 1e-7)
-            state = state.put(rows, replace(anchor, radius=radius).take(rows))
-            R, off, merit = measure_merit(state)
-            state = replace(state, last=np.where(worse, merit, state.last))
         state = replace(state, R=R)
         go = ~((options.tolerance > R) & (state.mu <= options.mu_end) & (off < 10.0 * options.mu_end))
         if not go.all():
@@ -200,8 +188,7 @@ def iterate_to_end(state: PathState, equations: Equations, options: DirectOption
         if not len(state.row) or iteration == options.max_iterations:
             break
         tell(f"{len(state.row)} of {cases} loads under way")
-        anchor = state = update_path(state, off, merit, options)
-        state = iterate(state, equations, options)
+        state = iterate(update_path(state, off, merit, options), equations, options)
     return finished, state
 
 
@@ -214,7 +201,7 @@ def solve_equilibrium(
     Starts from the slack pose of the weave, or from `start` (n poses with positive gaps). A case that does not converge
     has status "stalled" and keeps its start pose with R = nan; nothing is raised. Attempts after the first start from
     disturbed poses, the same for every case and batch; mu falls slowly there, so that cells which move far along a
-    narrow valley are not left behind on its wall, and no step is taken back.
+    narrow valley are not left behind on its wall.
 
     >>> from rve.geometry.kinematics import cauchy_line_load
     >>> from rve.geometry.weave import FOUR_IN_ONE
@@ -233,19 +220,17 @@ def solve_equilibrium(
     for attempt in range(options.attempts):
         pose = first.take(left)
         if attempt > 0:
-            tuned = replace(options, shrink=SLOW[(attempt - 1) % len(SLOW)], power=1.0, rejection=NEVER)
+            tuned = replace(options, shrink=SLOW[(attempt - 1) % len(SLOW)], power=1.0)
             tuned = replace(tuned, max_iterations=4 * options.max_iterations)
             shift = 0.03 * np.random.default_rng(attempt).uniform(-1.0, 1.0, (1, equations.modes.shape[1]))
             pose = moved(pose, equations.displacement(np.repeat(shift, len(left), axis=0), pose))
         # On the central path as far as forces can be.
         contacts, n = equations.contacts(pose, options.reach), len(left)
-        mu, inf, none = np.full(n, options.mu_start), np.full(n, np.inf), np.zeros(n)
+        mu, inf = np.full(n, options.mu_start), np.full(n, np.inf)
         lam = np.where(contacts.present, mu[:, None, None] / np.maximum(contacts.gap, 1e-9), 0.0)
         radius, stall = np.full(n, options.step), np.zeros(n, dtype=int)
         system = equations.assemble(pose, contacts, lam, s[left])
-        state = PathState(
-            left, s[left], pose, contacts, lam, system, mu, inf, inf, stall, radius, none, inf, iterations
-        )
+        state = PathState(left, s[left], pose, contacts, lam, system, mu, inf, inf, stall, radius, inf, iterations)
         finished, rest = iterate_to_end(state, equations, tuned)
         for part in finished:
             tries, status = np.full(len(part.row), attempt + 1), np.full(len(part.row), "converged", dtype="<U16")

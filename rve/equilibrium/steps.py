@@ -141,9 +141,9 @@ def accept_step(
     equations: Equations,
     reach: float,
     valley: Valley | None,
-) -> tuple[Pose, CellContacts, Array]:
+) -> tuple[Pose, CellContacts]:
     """The pose after the longest of the steps 1, 1/2, 1/4 ... of dq (n, m) that keeps gaps above `floor` (n,) and
-    links intact; its contacts and the share (n,) of dq. With a valley, steps are corrected."""
+    links intact, and its contacts. With a valley, steps are corrected."""
     first, before, bad = pose, contacts, np.arange(len(dq))
     length = np.ones(len(dq))
     here, there = first, moved(first, equations.displacement(dq, first))
@@ -169,13 +169,9 @@ def accept_step(
         if len(long):
             way = parallel_clearance(here.take(long), there.take(long), equations.weave, equations.wire)
             good[long] &= way > -equations.wire
-        if tries:
-            pose, contacts = pose.put(bad, there), contacts.put(bad, found)
-        else:
-            pose, contacts = there, found
+        pose, contacts = pose.put(bad, there), contacts.put(bad, found)
         bad = bad[~good]
         if not len(bad):
-            return pose, contacts, length
+            return pose, contacts
         length[bad] *= 0.5
-    length[bad] = 0.0
-    return pose.put(bad, first.take(bad)), contacts.put(bad, before.take(bad)), length
+    return pose.put(bad, first.take(bad)), contacts.put(bad, before.take(bad))

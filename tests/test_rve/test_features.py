@@ -21,16 +21,14 @@ TEN = Equations.of(FOUR_IN_ONE, 0.1)
 @pytest.mark.parametrize(
     ("ratio", "alpha", "beta"),
     [
-        (20.0, 45.0, 0.005),
-        pytest.param(50.0, 3.2234, 83.1244, marks=pytest.mark.slow),
+        (30.0, 43.0, 0.01),
         pytest.param(100.0, 1.8965, 77.318, marks=pytest.mark.slow),
     ],
 )
 def test_narrow_valleys_need_a_slow_fall_of_mu(ratio, alpha, beta):
     """Nearly uniaxial, and thin wire pulled near its grain; more iterations in one attempt do not help."""
     s, equations = cauchy_line_load([alpha], [beta]), Equations.of(FOUR_IN_ONE, 1.0 / ratio)
-    most = DirectOptions.max_iterations * (1 if ratio == 20.0 else 4)
-    quick = solve_equilibrium(s, equations, DirectOptions(attempts=1, max_iterations=most))
+    quick = solve_equilibrium(s, equations, DirectOptions(attempts=1, max_iterations=4 * DirectOptions.max_iterations))
     assert quick.status[0] == "stalled"
     slow = solve_equilibrium(s, equations)
     assert slow.status[0] == "converged"
