@@ -181,7 +181,8 @@ class RingField:
 
     @property
     def _title(self) -> str:
-        return f"{len(self)} rings, {self.fit.linked} of {self.fit.links} links intact as drawn"
+        apart = f"{self.fit.links - self.fit.linked} of {self.fit.links} links"
+        return f"{len(self)} rings, {apart} drawn open, as cells are placed one by one"
 
     def write_html(self, path: str | Path) -> None:
         """Write the rings as one HTML file that turns in a browser without a network, coloured by contact force, tori
