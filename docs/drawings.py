@@ -1,7 +1,7 @@
 """The drawings of tutorial and reference: python docs/drawings.py [FOLDER], by default docs/drawings/."""
 
+import argparse
 import ast
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -331,4 +331,6 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "drawings")
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("folder", type=Path, nargs="?", default=Path(__file__).parent / "drawings")
+    main(parser.parse_args().folder)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 RECORD = "pictures.json"
 """The file that stands for the pictures in their folder; it lists them by their checksums (`rve.common.files`)."""
-POINTS = 81
+POINTS = 121
 """Points of the locking surface along each side."""
 DECADES = 3.0
 """The scale of gaps goes over this many powers of ten."""
@@ -60,7 +60,7 @@ def plot_surface(law: MembraneLaw, rows: LockedRows) -> Any:
     ax = solid_axes(new_figure(8.0, 6.0).add_subplot(projection="3d"))
     E, gap, scale = surface_with_gap(law, rows)
     shades = scale.colour_map()(scale.norm()(np.clip(gap, scale.low, scale.top)), alpha=0.75)
-    ax.plot_surface(*np.moveaxis(E, -1, 0), facecolors=shades, linewidth=0, rcount=71, ccount=71, shade=False)
+    ax.plot_surface(*np.moveaxis(E, -1, 0), facecolors=shades, linewidth=0, rcount=POINTS, ccount=POINTS, shade=False)
     named = f"rows of the table{' and their mirror images' if rows.is_mirrored else ''}"
     ax.plot(*with_mirror(rows).E.T, ".", color="black", ms=4, label=named)
     scale.add_bar(ax, shrink=0.7, pad=0.02)
@@ -74,7 +74,7 @@ def plot_strains(law: MembraneLaw, table: StrainTable) -> Any:
     """E11, E12, E22 against beta for each alpha, as Fig. 13 of the paper: the law as lines, the rows as points."""
     axes = new_figure(12.5, 4.2).subplots(1, 3)
     alphas = np.unique(table.alpha_deg[table.converged])
-    beta = np.linspace(1.0, 89.0, 89)
+    beta = np.clip(45.0 - 45.0 * np.cos(np.linspace(0.0, np.pi, 121)), 0.01, 89.99)  # dense where strains turn
     for number, alpha in enumerate(alphas):
         colour = viridis()(number / max(len(alphas) - 1, 1))
         found = locked_strain(law, np.full(len(beta), alpha), beta)

@@ -93,9 +93,7 @@ class Solution(ABC):
         return factor
 
     def support_forces(self) -> DataFrame:
-        """The force of each held point on the curtain as a pandas DataFrame with the columns of support_forces.csv:
-        number and name of the support, x and y in the reference state in mm, components in N (needs pandas).
-        """
+        """The force of each held point on the curtain as a pandas DataFrame with the columns of support_forces.csv."""
         require("pandas", "notebook", "support_forces()", "read support_forces.csv in another way")
         from pandas import DataFrame
 

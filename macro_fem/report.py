@@ -2,14 +2,13 @@
 
 import textwrap
 from collections.abc import Iterable
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from macro_fem.output.forces import spot_loads
-from macro_fem.output.pictures import plot_line_loads
+from macro_fem.output.pictures import plot_line_loads, plot_utilisation
 from macro_fem.output.weakest import links
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, Wind
@@ -20,17 +19,20 @@ from rve.common.drawing.plane import BLUE, VERMILION, new_figure
 from rve.common.optional import Axes, Figure
 
 A4 = (8.27, 11.69)
-WIDTH = 105
+WIDTH = 112
 """Characters of a line."""
-TOP, FOOT, LINE, FEWEST = 0.93, 0.05, 0.0128, 8
+TOP, FOOT, LINE, FEWEST = 0.93, 0.05, 0.0138, 8
 """Where text begins and ends on a page, the height of a line, and the fewest lines of a section that are parted."""
-MOST_ROWS = 44
-"""Most points in the table of forces: those with the largest ones."""
+MOST_ROWS, ROW = 44, "{:<24}{:<18}{:<22}{:<12}{}"
+"""Most rows in the table of forces, those with the largest ones, and the form of a row."""
 LIMITS = (
     "Rings are tori in contact without friction. Where the mesh is locked it gives no more, or as much as its rings "
     "bend; friction would hold folds that are shown as free to slip.",
     "The mesh is a homogenized membrane with the holes of the scene; seams and repairs are not in it. Forces at a hook "
     "are those of the rings that share it, as the scene states.",
+    "Where balance leaves open how supports share the load, forces and factors are those of elastic rings, or one "
+    "choice of many by a law without stiffness. Next to held and loaded points colours are no measure, as line loads "
+    "grow there with every refinement: factors follow from averages over a cell of the weave, and from these forces.",
     "Factors are times all loads until the first ring yields, or a hook reaches its stated capacity, at the shape that "
     "is shown. They are no margin for wear, fatigue, impact, or wire weaker than stated. Partial factors are those of "
     "the load combinations, if there are any.",
@@ -49,15 +51,23 @@ def write_report(
 
     title = f"Curtain of ring mesh: {Path(solution.problem.scene.source).stem}"
     first = _page(title)
-    _draw_scene(solution, first.add_axes((0.1, 0.57, 0.8, 0.31)))
-    shape = first.add_axes((0.14, 0.23, 0.74, 0.3))
+    _draw_scene(solution, first.add_axes((0.1, 0.56, 0.8, 0.29)))
+    shape = first.add_axes((0.14, 0.24, 0.74, 0.28))
     plot_line_loads(solution, shape).legend().remove()
     shape.set_title("")
     shape.set_title("As it hangs: largest principal line load, and its direction", fontsize=8, loc="left")
     words, holds = verdict(summary)
-    _section(first, 0.945, words, [], BLUE if holds else VERMILION)
-    height = f"  mean height {summary['mean_height_mm']:.1f} mm"
-    _section(first, 0.16, "What to order, and what it covers", _wrapped([*order_lines(summary["order"]), height]))
+    forces, nothing = _forces(summary["support_forces"]), (0.0, "none", "")
+    size, name, _ = max(forces, key=lambda row: float(digits(row[0], 6)), default=nothing)  # the first of equal ones
+    of = " without partial factors" * ("combinations" in summary)
+    largest = f"Largest force of a support{of}: {digits(size)} N ({name})"
+    _section(first, 0.945, words, [largest], BLUE if holds else VERMILION)
+    mesh, *more = (line.strip().removeprefix("order: ") for line in order_lines(summary["order"]))
+    joint, stress = summary["ring_joint"], summary["ring_yield_N_per_mm2"]
+    closed = {None: "", "welded": "welded, "}.get(joint, "bent and not welded, ")
+    rings = f"rings {closed}yield stress {'not known' if stress is None else f'{stress:g} N/mm2'}"
+    order = [mesh, *more, rings, f"mean height {summary['mean_height_mm']:.1f} mm"]
+    _section(first, 0.18, "What to order, and what it covers", _wrapped(order))
     pages, y = [first], FOOT
     loads = "Loads, at x and y in the flat sheet, mm", [_loads(solution.problem.scene)], False
     for head, lines, is_table in (loads, *_sections(summary, filter(None, inputs))):
@@ -68,6 +78,10 @@ def write_report(
                 y, room = TOP, int((TOP - FOOT) / LINE) - 3
             y = _section(pages[-1], y, head, left[:room], is_table=is_table)
             left = left[room:]
+    if y > 0.42 and summary["utilisation_max"] is not None:
+        used = pages[-1].add_axes((0.14, 0.1, 0.74, y - 0.14))
+        plot_utilisation(solution, used).legend().remove()
+        used.set_title("Where the rings are used", fontsize=8, loc="left")
     for number, page in enumerate(pages, 1):
         page.text(0.92, 0.03, f"page {number} of {len(pages)}", size=8, ha="right")
     told = {"Title": title, "Creator": "macro_fem", "CreationDate": None}
@@ -85,8 +99,8 @@ def _page(title: str) -> Figure:
 
 
 def _wrapped(lines: Iterable[str], is_table: bool = False) -> list[str]:
-    """Lines as long as fit a page; those of tables are as they are."""
-    each = ([line] if is_table else textwrap.wrap(line, WIDTH, subsequent_indent="    ") for line in lines)
+    """Lines as long as fit a page, which begin with a capital letter; those of tables are as they are."""
+    each = ([line] if is_table else textwrap.wrap(line[:1].upper() + line[1:], WIDTH) for line in lines)
     return [part for parts in each for part in parts]
 
 
@@ -94,43 +108,43 @@ def _section(
     page: Figure, y: float, title: str, text: list[str], colour: str = "#111111", is_table: bool = False
 ) -> float:
     """A title and lines of text below the height `y`; the height below them."""
-    head = textwrap.wrap(title, 90)
+    head = textwrap.wrap(title[:1].upper() + title[1:], 90)
     page.text(0.08, y, "\n".join(head), size=10, weight="bold", va="top", color=colour, linespacing=1.25)
     y -= 0.006 + 0.0148 * len(head)
     family = "monospace" if is_table else "sans-serif"
-    page.text(0.08, y, "\n".join(text), size=7.5, family=family, va="top", linespacing=1.25)
-    return y - LINE * len(text) - 0.01
+    page.text(0.08, y, "\n".join(text), size=8 if is_table else 9, family=family, va="top", linespacing=1.25)
+    return y - LINE * len(text) * (0.9 if is_table else 1.0) - 0.015
 
 
 def _sections(summary: dict[str, Any], inputs: Iterable[Path]) -> Iterable[tuple[str, Iterable[str], bool]]:
     """Titles and lines of the further pages, and whether the lines are a table."""
-    stress = summary["ring_yield_N_per_mm2"]
-    told = "not known" if stress is None else f"{stress:g} N/mm2"
-    material = f"material of the rings: {summary['ring_material'] or 'not known'}, yield stress {told}"
     coarse = "at most " if summary["utilisation_too_low"] else ""
-    given = ((one.name, coarse if one.name == "mesh" else "", digits(one.factor)) for one in links(summary))
-    factors = [f"{name}: {most}{factor} times the load" for name, most, factor in given]
-    of = " without partial factors" if "combinations" in summary else ""
-    yield f"What gives first{of}", [*factors, material], False
+    of, given = " without partial factors" * ("combinations" in summary), links(summary)
+    factors = [f"{one.name}: at {coarse * (one.name == 'mesh')}{digits(one.factor)} times the load" for one in given]
+    yield f"What gives first{of}", factors or ["nothing whose strength is known is loaded"], False
     if "combinations" in summary:
         yield "Load combinations", combination_lines(summary), False
-    points = [
-        (np.linalg.norm(point["force_N"]), one["support"], *point["at_mm"], point["force_N"])
-        for one in summary["support_forces"]
-        for point in one["points"]
-    ]
-    shown = sorted(sorted(points, key=lambda row: -row[0])[:MOST_ROWS], key=lambda row: (row[1], row[2], -row[3]))
-    rows = [
-        f"{name:<8}{x:>6.0f}{h:>6.0f}{digits(size):>8}  ({components(*force)})" for size, name, x, h, force in shown
-    ]
-    half, wide = (len(rows) + 1) // 2, max(map(len, rows), default=0) + 3
-    columns = [f"{left:<{wide}}{right}".rstrip() for left, right in zip_longest(rows[:half], rows[half:], fillvalue="")]
-    most = "" if len(shown) == len(points) else f", the {len(shown)} largest of {len(points)}"
-    yield f"Forces of supports{of}{most}: x and y in the flat sheet, mm; size and components, N", columns, True
-    notes = [summary["support_forces_note"], summary["line_load_warning"]]
-    yield "Assumptions and limits", [*LIMITS, *filter(None, notes)], False
+    rows = _forces(summary["support_forces"])
+    shown = sorted(sorted(range(len(rows)), key=lambda number: -rows[number][0])[:MOST_ROWS])
+    most = "" if len(shown) == len(rows) else f", the {len(shown)} largest of {len(rows)}"
+    heads = ROW.format("support", "x y in sheet, mm", "x y (z) hung, mm", "force, N", "its x y (z), N")
+    yield f"Forces of supports{of}{most}", [heads, *(rows[number][2] for number in shown)], True
+    yield "Assumptions and limits", filter(None, [*LIMITS, summary["utilisation_too_low"]]), False
     versions = ", ".join(f"{key} {value}" for key, value in summary["versions"].items())
-    yield "Versions and files", [versions, *(f"{one.name}: SHA-256 {checksum(one)}" for one in inputs)], False
+    yield "Versions and files", [versions, *(f"SHA-256 of {one.name}: {checksum(one)}" for one in inputs)], False
+
+
+def _forces(supports: list[dict[str, Any]]) -> list[tuple[float, str, str]]:
+    """Size, name and row of each force: those of single points, and of each edge or area the sum."""
+    rows = []
+    for number, one in enumerate(supports, 1):
+        of = f" of support {number}" if len(supports) > 1 else ""
+        whole = {"point": f"{one['support']}, in sum", "at_mm": (), "place_mm": (), "force_N": one["force_N"]}
+        for part in one["points"] if "largest_force_per_ring_N" in one else [whole]:
+            name, size = f"{part['point']}{of}", float(np.linalg.norm(part["force_N"]))
+            at, place = (" ".join(f"{round(x)}" for x in part[key]) for key in ("at_mm", "place_mm"))
+            rows.append((size, name, ROW.format(name, at, place, digits(size), components(*part["force_N"]))))
+    return rows
 
 
 def _vector(parts: Iterable[float]) -> str:

@@ -12,8 +12,8 @@ import shapely
 from numpy.typing import NDArray
 
 from rve.common import Array
-from rve.common.drawing.plane import GREEN, Scale, new_axes, rounded_up
-from rve.common.drawing.space import BODY, BODY_OPACITY, THREE_QUARTERS, add, balls, lines, look, new_plotter, surface
+from rve.common.drawing import space
+from rve.common.drawing.plane import Scale, new_axes, round_top
 from rve.common.meshes import write_mesh_file
 from rve.common.optional import Axes, Plotter, PolyData
 from rve.equilibrium.interior_point import DirectOptions
@@ -32,7 +32,7 @@ MOST_DRAWN = 2_500_000
 """Points of all tori of a picture together; many rings have coarser ones."""
 CLOSE = 8.0
 """Radius of the close-up, in r1."""
-NO_FORCE = "#808890"
+NO_FORCE, BLACK = "#808890", "#111111"
 SHADOW_POINTS = 720
 """Points on every centre circle, of which the shadow is made; four times as many make it 1e-5 of itself larger."""
 
@@ -74,7 +74,7 @@ class DrawnRings:
     def tori(self, along: int, around: int, **numbers: Array) -> PolyData:
         """The tori as a mesh of pyvista with numbers (n,) per ring by their names."""
         points, quads = self.tubes(along, around)
-        mesh = surface(points, quads.reshape(-1, 4))
+        mesh = space.surface(points, quads.reshape(-1, 4))
         for name, values in numbers.items():
             mesh[name] = np.repeat(values, along * around)
         return mesh
@@ -119,7 +119,7 @@ class DrawnRings:
             scale.add_bar(ax, shrink=0.75, pad=0.02)
         ax.add_collection(drawn)
         for _, centre, radius in self.balls:
-            ax.add_patch(Circle((centre[0], centre[1]), radius, color=BODY, alpha=BODY_OPACITY))
+            ax.add_patch(Circle((centre[0], centre[1]), radius, color=space.BODY, alpha=space.BODY_OPACITY))
         ax.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", title=f"{len(self.centre)} rings")
         ax.autoscale_view()
         return ax
@@ -129,27 +129,27 @@ class DrawnRings:
 
         series: the rings at several moments, which share colours and camera.
         """
-        plotter = new_plotter() if plotter is None else plotter
+        plotter = space.new_plotter() if plotter is None else plotter
         forces = [one.force for one in series or (self,) if one.force is not None]
         scale = force_scale(np.concatenate(forces)) if forces else None
         values = {} if self.force is None or scale is None else {scale.label: self.force}
         colours = scale if values and scale else NO_FORCE
         count = len(self.centre)
         if count <= MOST_TUBES:
-            add(plotter, "rings", self.tori(20, 6, **values), colours)
+            space.add(plotter, "rings", self.tori(20, 6, **values), colours)
         else:
             points = int(np.clip(MOST_POINTS // count, 8, ALONG))
-            mesh = lines(self.closed_circles(points))
+            mesh = space.lines(self.closed_circles(points))
             for name, numbers in values.items():
                 mesh[name] = np.repeat(numbers, points + 1)
-            add(plotter, "rings", mesh, colours, line_width=2)
+            space.add(plotter, "rings", mesh, colours, line_width=2)
         for name, centre, radius in self.balls:
-            add(plotter, name, balls(centre, radius, 64), BODY, opacity=BODY_OPACITY)
+            space.add(plotter, name, space.balls(centre, radius, 64), space.BODY, opacity=space.BODY_OPACITY)
         box = None
         if series:
             places = np.concatenate([one.centre for one in series])
             box = np.stack([places.min(axis=0) - self.r1, places.max(axis=0) + self.r1])
-        look(plotter, THREE_QUARTERS, box=box)
+        space.look(plotter, space.THREE_QUARTERS, box=box)
         return plotter
 
     def draw_close_up(self, at: int, sheet_normal: Array) -> Plotter:
@@ -158,32 +158,36 @@ class DrawnRings:
         sheet_normal (3,): of the sheet at that ring.
         """
         centre, force = self.centre, np.zeros(len(self.centre)) if self.force is None else self.force
-        middle, half, scale, plotter = centre[at], CLOSE * self.r1, force_scale(force), new_plotter(2)
+        middle, half, scale, plotter = centre[at], CLOSE * self.r1, force_scale(force), space.new_plotter(2)
         plotter.subplot(0, 0)
         # Wire thinner than a pixel fades away: seen from afar it is drawn a pixel thick.
         thick = max(self.r2, 0.6e-3 * float(np.ptp(centre, axis=0).max()))
         along, around = (24, 6) if len(centre) < 6000 else (int(np.clip(MOST_DRAWN // (3 * len(centre)), 8, 14)), 3)
-        add(plotter, "all rings", replace(self, r2=thick).tori(along, around, **{scale.label: force}), scale)
+        space.add(plotter, "all rings", replace(self, r2=thick).tori(along, around, **{scale.label: force}), scale)
         window = replace(self, centre=middle[None], normal=sheet_normal[None], r1=half, force=None)
-        add(plotter, "close-up at the largest line load", lines(window.closed_circles(ALONG)), GREEN, line_width=6)
+        circle = space.lines(window.closed_circles(4 * ALONG))
+        space.add(plotter, "close-up at the largest line load", circle, BLACK, line_width=6)
+        low, high = centre.min(axis=0), centre.max(axis=0)
+        space.add_length(plotter, low - [0.0, 0.5 * half, 0.0], float(np.linalg.norm(high - low)))
         is_plane = np.abs(centre[:, 2]).max() <= 1e-9 * np.abs(centre).max()
-        look(plotter, (0.0, 0.0, -1.0) if is_plane else THREE_QUARTERS)
+        space.look(plotter, (0.0, 0.0, -1.0) if is_plane else space.THREE_QUARTERS)
         plotter.subplot(0, 1)
         near = np.linalg.norm(centre - middle, axis=1) < 1.3 * half
         close = replace(self, centre=centre[near], normal=self.normal[near])
-        add(plotter, "rings near by", close.tori(36, 12, **{scale.label: force[near]}), scale)
+        space.add(plotter, "rings near by", close.tori(36, 12, **{scale.label: force[near]}), scale)
         front = sheet_normal if sheet_normal[2] >= 0.0 else -sheet_normal
         up = np.array([0.0, 1.0, 0.0] if abs(front[1]) < 0.9 else [0.0, 0.0, -1.0])
         side = np.cross(up, front)
         from_below = 2.2 * up - 0.6 * side - 4.2 * front  # and from the side: one sees how the rings lie
         seen = close.centre  # the ring that bears most is often in a corner of the mesh
-        look(plotter, from_below, up, np.stack([seen.min(axis=0) - self.r1, seen.max(axis=0) + self.r1]))
+        space.look(plotter, from_below, up, np.stack([seen.min(axis=0) - self.r1, seen.max(axis=0) + self.r1]))
         return plotter
 
 
 def force_scale(force: Array) -> Scale:
     """Colours of contact forces (n,) in N by their logarithm; 0.2 % of the rings are above its round top end."""
-    top, largest = rounded_up(max(float(np.quantile(force, 0.998)), 1e-12)), float(force.max(initial=0.0))
+    largest = float(force.max(initial=0.0))
+    top = round_top(max(float(np.quantile(force, 0.998)), 1e-12), largest)
     return Scale("largest contact force on the ring, N", LEAST * top, top, largest, "log")
 
 

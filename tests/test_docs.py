@@ -12,6 +12,7 @@ import pytest
 import homogenize
 import macro_fem
 import rve
+from homogenize.io import law_kinds
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 BLOCK = re.compile(r"^```(bash|toml|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -70,6 +71,11 @@ def test_the_page_of_python_lists_every_public_name(package):
     page = (DOCS / "reference" / "python.md").read_text(encoding="utf-8")
     told = re.search(rf"^## {package.__name__}\n\nNames: (.*)\.$", page, re.MULTILINE)[1]
     assert told == ", ".join(f"`{name}`" for name in package.__all__)
+
+
+def test_the_table_of_laws_has_every_kind():
+    page = (DOCS / "explanation" / "laws.md").read_text(encoding="utf-8")
+    assert law_kinds().keys() <= set(re.findall(r"^\| `(\w+)`", page, re.MULTILINE))
 
 
 def test_the_gallery_shows_every_scene_with_its_picture_and_its_first_words():

@@ -30,12 +30,13 @@ from macro_fem.fem.discretization import ELEMENTS
 from macro_fem.job import solve_membrane
 from macro_fem.motion.stage import TONNE, masses_of, mesh_masses, pushed_points, scene_at
 from macro_fem.output.pictures import Pictures
+from macro_fem.output.space_view import add_supports
 from macro_fem.scene.supports import build_supports
 from macro_fem.scene.tables import Bar, Wind
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError, NotConverged, job, versions
 from rve.common.drawing.plane import Scale
-from rve.common.drawing.space import THREE_QUARTERS, add, look, new_plotter, save_picture, surface
+from rve.common.drawing.space import THREE_QUARTERS, add, add_length, look, new_plotter, save_picture, surface
 from rve.common.meshes import write_mesh_file
 
 CARRIES = 1e-6
@@ -280,5 +281,9 @@ def write_shapes(folder: Path, modes: Modes, *, picture: bool) -> None:
         drawn = surface(rest + SHOWN * problem.mesh.size * shape, cells)
         drawn[scale.label] = np.linalg.norm(shape, axis=1)
         add(plotter, f"shape {panel + 1}", drawn, scale)
+        add_supports(plotter, modes.solution, problem.mesh.size)
+        add_length(plotter, rest.min(axis=0) - [0.0, 0.1 * problem.mesh.size, 0.0], problem.mesh.size)
         look(plotter, THREE_QUARTERS)
-    save_picture(folder / "modes.png", plotter, ", ".join(f"{one:.3g}" for one in modes.frequencies_Hz) + " Hz")
+    each = zip(modes.frequencies_Hz, modes.multiplicity, strict=True)
+    words = (f"{one:.3g} Hz ({count} modes)" if count > 1 else f"{one:.3g} Hz" for one, count in each)
+    save_picture(folder / "modes.png", plotter, ", ".join(words))

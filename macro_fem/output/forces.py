@@ -15,6 +15,7 @@ from macro_fem.scene.sites import point_node
 from macro_fem.scene.tables import PatchLoad, PointLoad, Wind, in_3d
 from macro_fem.solution import CurtainSolution
 from rve.common import Array
+from rve.common.drawing.space import halved
 
 TOUCHES = 1e-6
 """A push below this part of the loads does not count as contact of its node."""
@@ -73,8 +74,7 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
     shares = own_forces([held.components(solution.x.shape) for held in problem.supports.held], solution.reactions)
     each = zip(problem.scene.support, problem.supports.held, shares, strict=True)
     for number, (item, held, (own, part, largest)) in enumerate(each):
-        columns = {"at_mm": problem.disc.nodes, "force_N": part}
-        columns |= {"place_mm": solution.x} if part.shape[1] == 3 else {}
+        columns = {"at_mm": problem.disc.nodes, "force_N": part, "place_mm": solution.x}
         found = {"support": held.name, "force_N": part.sum(axis=0).tolist(), "largest_nodal_force_N": largest}
         if not len(held.facets):
             found["largest_force_per_ring_N"] = largest / getattr(item, "rings_per_hook", 1)
@@ -82,8 +82,11 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
             found["capacity_N"] = item.capacity
         if row := problem.mesh.hooks.get(number):
             found |= {"pitch_mm": row.pitch, "pitch_asked_mm": getattr(item, "pitch", None)}
-        nodes = held.nodes[own[held.nodes].any(axis=1)]
-        points = [{name: values[node].tolist() for name, values in columns.items()} for node in nodes]
+        points: list[dict[str, Any]] = [
+            {"point": f"{item.one} {count}"} | {name: values[node].tolist() for name, values in columns.items()}
+            for count, node in enumerate(held.nodes, 1)
+            if own[node].any()
+        ]
         held_mm = held_length(problem, [held.facets])
         forces.append(found | {"nodes_held": len(held.nodes), "length_held_mm": held_mm, "points": points})
     return forces
@@ -107,20 +110,21 @@ def held_length(problem: CurtainProblem, facets: list[np.ndarray]) -> float:
 
 
 def support_rows(supports: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
-    """Columns and rows of support_forces.csv: each point with number and name of its support, reference position and
-    force; in space also with the third component, and where it is held.
+    """Columns and rows of support_forces.csv: each point with number and name of its support, reference position, force
+    and place, and its own name, if it has one.
 
-    >>> support_rows([{"support": "top", "points": [{"at_mm": [0.0, 9.0], "force_N": [0.5, 2.0]}]}])[1]
-    [(1, 'top', 0.0, 9.0, 0.5, 2.0)]
+    >>> held = {"point": "hook 1", "at_mm": [0.0, 9.0], "force_N": [0.5, 2.0], "place_mm": [1.0, 9.0]}
+    >>> support_rows([{"support": "hooks", "points": [held]}])[1]
+    [(1, 'hooks', 0.0, 9.0, 0.5, 2.0, 0.0, 1.0, 9.0, 0.0, 'hook 1')]
     """
+    columns = [f"{what}_{axis}_{unit}" for what, unit in (("force", "N"), ("place", "mm")) for axis in "xyz"]
     points = [(number, one["support"], point) for number, one in enumerate(supports, 1) for point in one["points"]]
-    in_space = any("place_mm" in point for *_, point in points)
-    more = ("force_z_N", "place_x_mm", "place_y_mm", "place_z_mm") if in_space else ()
+    unknown: Any = 3 * (None,)
     rows = [
-        (number, name, *point["at_mm"], *(point["force_N"] or (None, None, None)), *point.get("place_mm", ()))
-        for number, name, point in points
+        (*whose, *one["at_mm"], *in_3d(one["force_N"] or unknown), *in_3d(one["place_mm"]), one.get("point"))
+        for *whose, one in points
     ]
-    return ("support_number", "support", "x_mm", "y_mm", "force_x_N", "force_y_N", *more), rows
+    return ("support_number", "support", "x_mm", "y_mm", *columns, "point"), rows
 
 
 def pushes_of(solution: CurtainSolution, number: int) -> Array:
@@ -191,19 +195,6 @@ def winds(solution: CurtainSolution) -> tuple[Array, Array]:
     for wind in (one for one in scene.of(Wind) if not one.is_shaped):
         nodal += problem.factor * load_vector(problem.disc, wind_per_area(wind, scene, None))
     return _summed_up(solution, nodal, halved(padded(solution.x), np.arange(len(nodal)), MOST_ARROWS))
-
-
-def halved(x: Array, nodes: np.ndarray, most: int) -> list[np.ndarray]:
-    """The nodes, of places x (n, 3), in at most `most` groups: halved along the longer extent again and again.
-
-    >>> [part.tolist() for part in halved(np.array([[3.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0]]), np.arange(3), 2)]
-    [[1], [2, 0]]
-    """
-    if most < 2 or len(nodes) < 2:
-        return [nodes] if len(nodes) else []
-    order = nodes[np.argsort(x[nodes, np.ptp(x[nodes], axis=0).argmax()], kind="stable")]
-    first, half = most // 2, len(order) // 2
-    return [*halved(x, order[:half], first), *halved(x, order[half:], most - first)]
 
 
 def _summed_up(solution: CurtainSolution, forces: Array, groups: list[np.ndarray]) -> tuple[Array, Array]:

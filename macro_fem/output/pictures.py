@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from macro_fem.fem.cells import recovered
 from macro_fem.output import space_view, strength
 from macro_fem.output.forces import FORCES
 from macro_fem.scene.scene import Scene
@@ -14,12 +15,14 @@ from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError, check_out_file, digits, require
 from rve.common.drawing import space
 from rve.common.drawing.page import check_page, write_page
-from rve.common.drawing.plane import Scale, new_axes, new_figure, save_figure
+from rve.common.drawing.plane import TOP_SHARE, Scale, new_axes, new_figure, one_per_square, save_figure
 from rve.common.optional import Axes, Figure
 
 NO_GIF = "leave out --animation"
 ARROWS = 700
 """Approximate number of principal directions in a picture. Larger: denser strokes."""
+FOLDED = 0.25
+"""Cells seen with less than this part of their area have no stroke, which would lie beyond them."""
 STATES = {"slack": "#dfe3e8", "drawn in one direction": "#56b4e9", "taut in both": "#004c75"}
 HELD = "#111111"
 
@@ -134,8 +137,10 @@ def panels(solution: CurtainSolution) -> Figure:
     figure = new_figure(10.4, float(np.clip(4.2 * extent[1] / extent[0], 2.6, 8.0)) + 1.4)
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     plot_line_loads(solution, axes[0])
-    _colour(solution, solution.state(), axes[1], cmap=ListedColormap(list(STATES.values())), vmin=0.0, vmax=2.0)
-    _legend(axes[1], [Patch(color=colour, label=name) for name, colour in STATES.items()])
+    state = solution.state()
+    _colour(solution, state, axes[1], cmap=ListedColormap(list(STATES.values())), vmin=0.0, vmax=2.0)
+    shown = (one for number, one in enumerate(STATES.items()) if (state == number).any())
+    _legend(axes[1], [Patch(color=colour, label=name) for name, colour in shown])
     return figure
 
 
@@ -150,9 +155,12 @@ def side_by_side(steps: space_view.Titled) -> Figure:
 
 
 def _plot_field(solution: CurtainSolution, values: Array, scale: Scale, ax: Axes | None) -> Axes:
-    """The deformed curtain coloured by a cell field (n_cells,), over the outline of its reference state."""
-    ax = new_axes() if ax is None else ax
-    _colour(solution, np.maximum(values, scale.low), ax, cmap=scale.colour_map(), norm=scale.norm())
+    """The deformed curtain coloured by a cell field (n_cells,), over the outline of its reference state. All but the
+    largest values are averaged over neighbours, which share a load as they happen to (`recovered`)."""
+    ax, mesh = new_axes() if ax is None else ax, solution.problem.mesh.mesh
+    smooth = recovered(mesh.t.T, values, solution.problem.disc.cell_area)
+    shown = np.where(values > np.quantile(values, TOP_SHARE), values, np.maximum(smooth, scale.low))
+    _colour(solution, shown, ax, cmap=scale.colour_map(), norm=scale.norm())
     scale.add_bar(ax, shrink=0.75, pad=0.02)
     return ax
 
@@ -189,16 +197,17 @@ def _directions(solution: CurtainSolution, principal: tuple[Array, Array], scale
     values, direction = principal
     mesh = solution.problem.mesh.mesh
     middle = mesh.p.T[mesh.t.T].mean(axis=1)
-    cells = one_per_square(middle, np.flatnonzero(values[:, 0] > 0.02 * scale.top), ARROWS)
-    F = solution.problem.disc.cell_mean(solution.F)[cells]
-    along = np.einsum("cij,cj->ci", F, direction[cells])[:, :2]
+    F = solution.problem.disc.cell_mean(solution.F)[:, :2]
+    is_flat = np.abs(np.linalg.det(F)) > FOLDED
+    cells = one_per_square(middle, np.flatnonzero(is_flat & (values[:, 0] > 0.02 * scale.top)), ARROWS)
+    along = np.einsum("cij,cj->ci", F[cells], direction[cells])
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
     share = np.sqrt(np.minimum(values[cells, 0] / scale.top, 1.0))
     centre = solution.corners[:, :2][mesh.t.T[cells]].mean(axis=1)
     half = 0.01 * solution.problem.mesh.size * along * share[:, None]
     tones = np.where(share > 0.55, "black", "white").tolist()  # black on bright colours, white on dark ones
     ax.add_collection(LineCollection(list(np.stack([centre - half, centre + half], axis=1)), colors=tones, lw=0.8))
-    ax.plot([], [], color="black", lw=1.2, label="direction of this load")
+    ax.plot([], [], color="black", lw=1.2, label="direction of the largest line load")
 
 
 def _loads(solution: CurtainSolution, ax: Axes, largest: Sequence[float]) -> None:
@@ -212,19 +221,6 @@ def _loads(solution: CurtainSolution, ax: Axes, largest: Sequence[float]) -> Non
             ends |= {"pivot": "tail" if way > 0 else "tip", "label": f"{name}, up to {digits(longest)} N"}
             ax.quiver(*at.T, *force.T, color=colour, ec="white", lw=0.5, zorder=6, **ends)
             ax.autoscale_view()
-
-
-def one_per_square(points: Array, chosen: np.ndarray, number: int) -> np.ndarray:
-    """Of the chosen points (n, 2), the one in the middle of each of about `number` squares around all points.
-
-    >>> one_per_square(np.array([[0.0, 0.0], [0.9, 0.9], [3.1, 3.0], [4.0, 4.0]]), np.array([0, 1, 2]), 4).tolist()
-    [1, 2]
-    """
-    low = points.min(axis=0)
-    side = np.sqrt(max(float(np.prod(np.ptp(points, axis=0))), 1e-300) / number)
-    place = (points[chosen] - low) / side
-    order = np.linalg.norm(place % 1.0 - 0.5, axis=1).argsort(kind="stable")
-    return np.sort(chosen[order[np.unique(np.floor(place[order]), axis=0, return_index=True)[1]]])
 
 
 def _legend(ax: Axes, more: Sequence[Any] = ()) -> None:

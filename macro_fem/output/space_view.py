@@ -17,11 +17,11 @@ from macro_fem.scene.tables import in_3d
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, digits
 from rve.common.drawing import space
-from rve.common.drawing.plane import Scale, rounded_up
+from rve.common.drawing.plane import Scale
 from rve.common.optional import Plotter, PolyData
 
 HELD, TRACK = "#1f4e79", "#4a4f57"
-GROUND, SHADOW, FIGURE = "#ebedf0", "#cdd2d8", "#8d96a1"
+GROUND, SHADOW = "#ebedf0", "#cdd2d8"
 LEAST_FOR_PERSON = 1000.0
 """Scenes of this size in mm and larger are shown beside a person, smaller ones beside a bar of a round length."""
 PERSON_MM = 1750.0
@@ -103,7 +103,7 @@ def draw_curtain(
     floors = [one.obstacle.height + one.shift[1] for one in placed if isinstance(one.obstacle, Floor)]
     ground = float(max(floors, default=frame.lowest))
     space.add(plotter, "curtain", curtain, frame.scale)
-    _add_supports(plotter, solution, frame.size)
+    add_supports(plotter, solution, frame.size)
     for one in placed:
         mesh, item = obstacle_mesh(one, frame, ground), one.obstacle
         if mesh is not None:
@@ -188,7 +188,7 @@ def obstacle_mesh(placed: PlacedObstacle, frame: PictureFrame, ground: float) ->
     return None
 
 
-def _add_supports(plotter: Plotter, solution: CurtainSolution, size: float) -> None:
+def add_supports(plotter: Plotter, solution: CurtainSolution, size: float) -> None:
     """Held edges and tracks as lines, held points, hooks and runners as balls."""
     problem = solution.problem
     mesh, corners, x = problem.mesh.mesh, padded(solution.corners), padded(solution.x)
@@ -220,11 +220,9 @@ def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: PictureFrame, 
         feet, radius, length = foot - [0.4 * PERSON_MM, 0.0, 0.0], 0.08 * PERSON_MM, 0.68 * PERSON_MM
         body = pyvista.Capsule(center=feet + 0.42 * up, direction=up, radius=radius, cylinder_length=length)
         head = pyvista.Sphere(radius=0.065 * PERSON_MM, center=feet + 0.93 * up)
-        space.add(plotter, "person, 1.75 m", body + head, FIGURE)
+        space.add(plotter, "person, 1.75 m", body + head, space.MEASURE)
     else:
-        length = rounded_up(0.12 * size)
-        ends = foot + np.array([[0.0, 0.006 * size, 0.0], [length, 0.006 * size, 0.0]])
-        space.add(plotter, f"bar of {length:g} mm", space.lines(ends[None]), FIGURE, line_width=9)
+        space.add_length(plotter, foot + np.array([0.0, 0.006 * size, 0.0]), size)
     space.add(plotter, "_shadow", shadow, SHADOW, **space.FLAT)
     thrown = box + max(box[1, 1] - ground, 0.0) * LIGHT  # the patch is as large in all pictures of a series
     beside = foot - [[0.5 * PERSON_MM if is_large else 0.0, 0.0, 0.0]]

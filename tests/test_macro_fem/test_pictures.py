@@ -5,7 +5,7 @@ import pytest
 
 import macro_fem
 from macro_fem.output.forces import pulls, winds
-from macro_fem.output.pictures import side_by_side
+from macro_fem.output.pictures import STATES, panels, side_by_side
 from macro_fem.output.space_view import drawn
 from rve.common.drawing.space import parts
 from rve.common.errors import InputError
@@ -44,6 +44,8 @@ def test_pictures_of_a_series_share_the_ground_and_the_names_of_forces(hammock, 
     figure = side_by_side([("half", plane.steps[0]), ("all", plane.steps[1])])
     half, whole = (ax.get_legend_handles_labels()[1] for ax in figure.axes[:2])
     assert half == whole == [*half[:-1], "load at a point, up to 1.41 N"]
+    told = {text.get_text() for text in panels(plane.solution).axes[1].get_legend().get_texts()}
+    assert told & STATES.keys() == {name for k, name in enumerate(STATES) if k in plane.solution.state()} < {*STATES}
 
 
 def test_a_page_of_a_curtain(hammock, plane, tmp_path):

@@ -225,11 +225,11 @@ def test_files_of_a_curtain_in_space(tmp_path):
     assert summary["centre_of_gravity_mm"][1] == pytest.approx(summary["mean_height_mm"])
     assert 0.0 < summary["centre_of_gravity_mm"][2] < 300.0
     rows = (tmp_path / "support_forces.csv").read_text().splitlines()
-    assert rows[0].endswith("force_x_N,force_y_N,force_z_N,place_x_mm,place_y_mm,place_z_mm")
+    assert rows[0].endswith("force_x_N,force_y_N,force_z_N,place_x_mm,place_y_mm,place_z_mm,point")
     forces = np.array([row.split(",")[4:7] for row in rows[1:]], float)
     total = json.loads((tmp_path / "summary.json").read_text())["total_load_N"]
     assert np.allclose(forces.sum(axis=0), -np.array(total), atol=1e-8 * np.abs(total).sum())
-    assert {row.split(",")[-1] for row in rows[1:]} == {"0.0", "300.0"}
+    assert {row.split(",")[-2] for row in rows[1:]} == {"0.0", "300.0"}
     vtu = meshio.read(tmp_path / "curtain.vtu")
     assert np.allclose(vtu.points + vtu.point_data["displacement_mm"], found.solution.x, atol=1e-9)
     assert np.allclose(vtu.point_data["support_force_N"], found.loaded.reactions, atol=1e-9)

@@ -75,3 +75,10 @@ def frame_flexibility(phi, directions, radius, stiffness, count=240):
     load -= Q @ (Q.T @ load)  # what does not balance drops out
     u = np.linalg.solve(K + np.trace(K) / len(K) * Q @ Q.T, load)
     return load.T @ u
+
+
+def random_load(seed, count=7, radius=5.0):
+    """Angles (count,) and forces (count, 3) in balance on a ring of this radius."""
+    rng = np.random.default_rng(seed)
+    phi = rng.uniform(0.0, 2.0 * np.pi, count)
+    return phi, balanced(phi, rng.normal(size=(count, 3)), radius)

@@ -6,7 +6,7 @@ import pytest
 from rve.ring.kernels import flexibility, internal_forces, section_matrix, self_stress
 from rve.ring.section import Ring, Section, out_of_plane_inertia, shear_factor
 
-from .frame import balanced, frame_flexibility, local_axes
+from .frame import frame_flexibility, local_axes, random_load
 
 R = 7.0
 EI, GJ = 3.0, 1.7
@@ -15,12 +15,6 @@ THICK = Ring(5.0, 1.0, 200e3, 0.3)
 SECTIONS = [THICK.thin(), THICK.straight(), THICK.curved()]
 OUT = np.array([1.0, 0.0, 0.0])
 UP = np.array([0.0, 0.0, 1.0])
-
-
-def random_load(seed, count=7, radius=5.0):
-    rng = np.random.default_rng(seed)
-    phi = rng.uniform(0.0, 2.0 * np.pi, count)
-    return phi, balanced(phi, rng.normal(size=(count, 3)), radius)
 
 
 def pieces(phi, extra=(), order=12):

@@ -7,15 +7,9 @@ from rve.ring.kernels import internal_forces
 from rve.ring.section import Ring, skin_stress
 from rve.ring.strength import peak_stress
 
-from .frame import balanced
+from .frame import random_load
 
 RING = Ring(5.0, 0.8, 200e3, 0.3)
-
-
-def random_load(seed, count=6):
-    rng = np.random.default_rng(seed)
-    phi = rng.uniform(0.0, 2.0 * np.pi, count)
-    return phi, balanced(phi, rng.normal(size=(count, 3)), 5.0)
 
 
 def test_stresses_of_all_fibres_add_up_to_the_section_forces():

@@ -19,8 +19,8 @@ BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009e73"
 """Colours that colour-blind readers tell apart (Okabe and Ito)."""
 OVER = "#d6004d"
 """The colour of values above the scale."""
-TOP_SHARE = 0.995
-"""The scale of colours ends where this share of the values lies below."""
+TOP_SHARE, NEAR = 0.995, 1.25
+"""A scale of colours ends where this share of the values lies below, or at the largest if that is less than so far."""
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -76,7 +76,7 @@ class Scale:
         """
         largest = float(np.max(values, initial=0.0))
         bulk = float(np.quantile(values, TOP_SHARE)) if len(values) else 0.0
-        return cls(label, 0.0, rounded_up(bulk if bulk > 0.0 else largest), largest, "root")
+        return cls(label, 0.0, round_top(bulk, largest), largest, "root")
 
     @property
     def is_exceeded(self) -> bool:
@@ -109,7 +109,16 @@ class Scale:
         extend = ("neither", "min", "max", "both")[(self.spread == "log") + 2 * self.is_exceeded]
         assert ax.figure is not None
         bar = ax.figure.colorbar(ScalarMappable(self.norm(), self.colour_map()), ax=ax, extend=extend, **style)
-        bar.set_label(self.title)
+        bar.set_label(self.title.replace("; ", "\n"))  # in one line it is longer than the bar
+
+
+def round_top(bulk: float, largest: float) -> float:
+    """A round end of a scale: above `bulk`, or above the `largest` value where that is near or nothing else is known.
+
+    >>> round_top(0.9, 0.908), round_top(0.9, 7.0), round_top(0.0, 7.0)
+    (0.95, 0.9, 7.0)
+    """
+    return rounded_up(largest if largest < NEAR * rounded_up(bulk) or bulk <= 0.0 else bulk)
 
 
 def rounded_up(value: float) -> float:
@@ -122,3 +131,16 @@ def rounded_up(value: float) -> float:
         return 1.0
     unit = 0.5 * 10.0 ** np.floor(np.log10(value))
     return float(f"{unit * np.ceil(value / unit * (1.0 - 1e-9)):.6g}")
+
+
+def one_per_square(points: Array, chosen: np.ndarray, number: int) -> np.ndarray:
+    """Of the chosen points (n, 2), the one in the middle of each of about `number` squares around all points.
+
+    >>> one_per_square(np.array([[0.0, 0.0], [0.9, 0.9], [3.1, 3.0], [4.0, 4.0]]), np.array([0, 1, 2]), 4).tolist()
+    [1, 2]
+    """
+    low = points.min(axis=0)
+    side = np.sqrt(max(float(np.prod(np.ptp(points, axis=0))), 1e-300) / number)
+    place = (points[chosen] - low) / side
+    order = np.linalg.norm(place % 1.0 - 0.5, axis=1).argsort(kind="stable")
+    return np.sort(chosen[order[np.unique(np.floor(place[order]), axis=0, return_index=True)[1]]])

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from rve.common.drawing.plane import OVER, Scale
+from rve.common.drawing.plane import OVER, Scale, rounded_up
 from rve.common.errors import InputError, require
 from rve.common.files import atomic_path
 from rve.common.optional import Figure, Plotter, PolyData
@@ -31,6 +31,8 @@ FRAME_MS, LAST_MS = 120, 1500
 MARGIN = 1.04
 BODY, BODY_OPACITY = "#c9b18f", 0.75
 """Colour of bodies that a mesh meets, and how much they hide."""
+MEASURE = "#8d96a1"
+"""Colour of what stands or lies beside for the scale."""
 MATT: dict[str, Any] = {"ambient": 0.4, "diffuse": 0.7, "specular": 0.1, "smooth_shading": True}
 FLAT: dict[str, Any] = {"lighting": False, "ambient": 0.0, "diffuse": 1.0, "specular": 0.0}
 
@@ -121,6 +123,26 @@ def arrows(tails: Array, vectors: Array, least: float = 0.0) -> PolyData:
     return ends.glyph(geom=shape, orient="along", scale="length")
 
 
+def add_length(plotter: Plotter, start: Array, size: float) -> None:
+    """Add a line of a round length along x from `start` (3,), beside what has this size in mm."""
+    length = rounded_up(0.12 * size)
+    ends = start + np.array([[0.0, 0.0, 0.0], [length, 0.0, 0.0]])
+    add(plotter, f"length of {length:g} mm", lines(ends[None]), MEASURE, line_width=9)
+
+
+def halved(x: Array, nodes: np.ndarray, most: int) -> list[np.ndarray]:
+    """The nodes, of places x (n, 3), in at most `most` groups: halved along the longer extent again and again.
+
+    >>> [part.tolist() for part in halved(np.array([[3.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0]]), np.arange(3), 2)]
+    [[1], [2, 0]]
+    """
+    if most < 2 or len(nodes) < 2:
+        return [nodes] if len(nodes) else []
+    order = nodes[np.argsort(x[nodes, np.ptp(x[nodes], axis=0).argmax()], kind="stable")]
+    first, half = most // 2, len(order) // 2
+    return [*halved(x, order[:half], first), *halved(x, order[half:], most - first)]
+
+
 def look(plotter: Plotter, direction: Any, up: Any = (0.0, 1.0, 0.0), box: Array | None = None) -> None:
     """Aim the camera of the active panel along `direction` so that the box (2, 3), by default all, fills the panel."""
     box = np.reshape(plotter.renderer.bounds, (3, 2)).T if box is None else box
@@ -149,7 +171,7 @@ def parts(plotter: Plotter, panel: int = 0) -> dict[str, tuple[PolyData, Any, Sc
 def compose(plotter: Plotter, title: str) -> Figure:
     """The panels of a plotter beneath a title, above a bar of colours and a legend, as a matplotlib figure."""
     from matplotlib.figure import Figure
-    from matplotlib.patches import Patch
+    from matplotlib.lines import Line2D
 
     panels = len(plotter.renderers)
     figure = Figure(figsize=(6.8 * panels, 7.6), dpi=130)
@@ -163,8 +185,11 @@ def compose(plotter: Plotter, title: str) -> Figure:
     scales = {scale for *_, scale in shown.values() if scale is not None}
     for scale in scales:
         scale.add_bar(ax, location="bottom", shrink=0.5 if panels > 1 else 0.8, aspect=40, pad=0.01)
-    plain = {name: one for name, (_, one, scale) in shown.items() if scale is None and not name.startswith("_")}
-    marks = [Patch(color=one.prop.color.float_rgb, label=name) for name, one in plain.items()]
+    plain = {name: one for name, (*one, scale) in shown.items() if scale is None and not name.startswith("_")}
+    marks = [
+        Line2D([], [], color=one.prop.color.float_rgb, lw=3 if mesh.n_lines else 9, solid_capstyle="butt", label=name)
+        for name, (mesh, one) in plain.items()
+    ]
     if marks:
         columns = 4 if panels > 1 else 2
         figure.legend(handles=marks, loc="outside lower center", ncols=columns, frameon=False, fontsize=11)
