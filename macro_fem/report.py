@@ -57,8 +57,8 @@ def write_report(
     shape.set_title("")
     shape.set_title("As it hangs: largest principal line load, and its direction", fontsize=8, loc="left")
     words, holds = verdict(summary)
-    forces, nothing = _forces(summary["support_forces"]), (0.0, "none", "")
-    size, name, _ = max(forces, key=lambda row: float(digits(row[0], 6)), default=nothing)  # the first of equal ones
+    forces = [*_forces(summary["support_forces"]), (0.0, "none", "")]
+    size, name, _ = max(forces, key=lambda row: float(digits(row[0], 6)))  # the first of equal ones
     of = " without partial factors" * ("combinations" in summary)
     largest = f"Largest force of a support{of}: {digits(size)} N ({name})"
     _section(first, 0.945, words, [largest], BLUE if holds else VERMILION)

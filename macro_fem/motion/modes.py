@@ -36,7 +36,7 @@ from macro_fem.scene.tables import Bar, Wind
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError, NotConverged, job, versions
 from rve.common.drawing.plane import Scale
-from rve.common.drawing.space import THREE_QUARTERS, add, add_length, look, new_plotter, save_picture, surface
+from rve.common.drawing.space import THREE_QUARTERS, add, add_length, below, look, new_plotter, save_picture, surface
 from rve.common.meshes import write_mesh_file
 
 CARRIES = 1e-6
@@ -282,7 +282,7 @@ def write_shapes(folder: Path, modes: Modes, *, picture: bool) -> None:
         drawn[scale.label] = np.linalg.norm(shape, axis=1)
         add(plotter, f"shape {panel + 1}", drawn, scale)
         add_supports(plotter, modes.solution, problem.mesh.size)
-        add_length(plotter, rest.min(axis=0) - [0.0, 0.1 * problem.mesh.size, 0.0], problem.mesh.size)
+        add_length(plotter, below(rest), problem.mesh.size)
         look(plotter, THREE_QUARTERS)
     each = zip(modes.frequencies_Hz, modes.multiplicity, strict=True)
     words = (f"{one:.3g} Hz ({count} modes)" if count > 1 else f"{one:.3g} Hz" for one, count in each)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from macro_fem.fem.cells import recovered
+from macro_fem.fem.cells import mean_at_corners
 from macro_fem.output import space_view, strength
 from macro_fem.output.forces import FORCES
 from macro_fem.scene.scene import Scene
@@ -15,14 +15,13 @@ from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError, check_out_file, digits, require
 from rve.common.drawing import space
 from rve.common.drawing.page import check_page, write_page
-from rve.common.drawing.plane import TOP_SHARE, Scale, new_axes, new_figure, one_per_square, save_figure
+from rve.common.drawing.plane import Scale, new_axes, new_figure, one_per_square, save_figure
 from rve.common.optional import Axes, Figure
 
 NO_GIF = "leave out --animation"
-ARROWS = 700
-"""Approximate number of principal directions in a picture. Larger: denser strokes."""
-FOLDED = 0.25
-"""Cells seen with less than this part of their area have no stroke, which would lie beyond them."""
+ARROWS, FOLDED = 700, 0.25
+"""Approximate number of principal directions in a picture (larger: denser strokes), and the least part of its area with
+which a cell is seen that has one: strokes of folded cells would lie beyond them."""
 STATES = {"slack": "#dfe3e8", "drawn in one direction": "#56b4e9", "taut in both": "#004c75"}
 HELD = "#111111"
 
@@ -110,7 +109,10 @@ def plot_line_loads(
     """
     values, direction = solution.principal()
     scale = space_view.line_load_scale([solution]) if scale is None else scale
-    ax = _plot_field(solution, values[:, 0], scale, ax)
+    disc = solution.problem.disc
+    P = mean_at_corners(solution.problem.mesh.mesh.t.T, disc.cell_mean(solution.P), disc.cell_area)
+    loads = np.minimum(np.linalg.norm(P, 2, axis=(1, 2)), values.max())  # some corner has no less than any cell
+    ax = _plot_field(solution, loads, scale, ax, shading="gouraud")
     _directions(solution, (values, direction), scale, ax)
     _loads(solution, ax, largest or space_view.largest_of(space_view.forces_of([solution])))
     _legend(ax)
@@ -154,26 +156,24 @@ def side_by_side(steps: space_view.Titled) -> Figure:
     return figure
 
 
-def _plot_field(solution: CurtainSolution, values: Array, scale: Scale, ax: Axes | None) -> Axes:
-    """The deformed curtain coloured by a cell field (n_cells,), over the outline of its reference state. All but the
-    largest values are averaged over neighbours, which share a load as they happen to (`recovered`)."""
-    ax, mesh = new_axes() if ax is None else ax, solution.problem.mesh.mesh
-    smooth = recovered(mesh.t.T, values, solution.problem.disc.cell_area)
-    shown = np.where(values > np.quantile(values, TOP_SHARE), values, np.maximum(smooth, scale.low))
-    _colour(solution, shown, ax, cmap=scale.colour_map(), norm=scale.norm())
+def _plot_field(solution: CurtainSolution, values: Array, scale: Scale, ax: Axes | None, **style: Any) -> Axes:
+    """The deformed curtain coloured by values of cells or, with shading, corners, over its reference outline."""
+    ax = new_axes() if ax is None else ax
+    _colour(solution, np.maximum(values, scale.low), ax, cmap=scale.colour_map(), norm=scale.norm(), **style)
     scale.add_bar(ax, shrink=0.75, pad=0.02)
     return ax
 
 
-def _colour(solution: CurtainSolution, values: Array, ax: Axes, **style: Any) -> None:
-    """Triangles in the colours of cell values (n_cells,), outline of the reference, what is held."""
+def _colour(solution: CurtainSolution, values: Array, ax: Any, **style: Any) -> None:
+    """Triangles in the colours of `values`, outline of the reference, what is held."""
     from matplotlib.collections import LineCollection
 
     mesh, supports, corners = solution.problem.mesh.mesh, solution.problem.supports, solution.corners[:, :2]
-    ax.tripcolor(corners[:, 0], corners[:, 1], mesh.t.T, facecolors=values, edgecolors="face", lw=0.3, **style)
+    at = [values] if "shading" in style else []
+    flat = {} if at else {"facecolors": values, "edgecolors": "face", "lw": 0.3}
+    ax.tripcolor(*corners.T, mesh.t.T, *at, **flat, **style)
     outline = mesh.p.T[mesh.facets[:, mesh.boundary_facets()].T]
-    dashes: Any = (0, (4, 3))
-    ax.add_collection(LineCollection(list(outline), colors="0.45", lw=0.8, ls=dashes, label="before deformation"))
+    ax.add_collection(LineCollection(list(outline), colors="0.45", lw=0.8, ls=(0, (4, 3)), label="before deformation"))
     if facets := [facet for held in supports.held for facet in held.facets]:
         lines = list(corners[mesh.facets[:, facets].T])
         ax.add_collection(LineCollection(lines, colors=HELD, linewidths=2.5, label="held edge"))

@@ -123,6 +123,12 @@ def arrows(tails: Array, vectors: Array, least: float = 0.0) -> PolyData:
     return ends.glyph(geom=shape, orient="along", scale="length")
 
 
+def below(points: Array) -> Array:
+    """A place a little below points (n, 3), at their left and in front of them, so that they do not hide it."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    return np.array([low[0], low[1] - 0.06 * np.linalg.norm(high - low), high[2]])
+
+
 def add_length(plotter: Plotter, start: Array, size: float) -> None:
     """Add a line of a round length along x from `start` (3,), beside what has this size in mm."""
     length = rounded_up(0.12 * size)
