@@ -23,7 +23,7 @@ WIDTH = 112
 """Characters of a line."""
 TOP, FOOT, LINE, FEWEST = 0.93, 0.05, 0.0138, 8
 """Where text begins and ends on a page, the height of a line, and the fewest lines of a section that are parted."""
-MOST_ROWS, ROW = 44, "{:<24}{:<18}{:<22}{:<12}{}"
+MOST_ROWS, ROW = 44, "{:<31}{:<18}{:<20}{:<10}{}"
 """Most rows in the table of forces, those with the largest ones, and the form of a row."""
 LIMITS = (
     "Rings are tori in contact without friction. Where the mesh is locked it gives no more, or as much as its rings "
@@ -58,7 +58,7 @@ def write_report(
     shape.set_title("As it hangs: largest principal line load, and its direction", fontsize=8, loc="left")
     words, holds = verdict(summary)
     forces = [*_forces(summary["support_forces"]), (0.0, "none", "")]
-    size, name, _ = max(forces, key=lambda row: float(digits(row[0], 6)))  # the first of equal ones
+    size, name, _ = next(row for row in forces if row[0] >= 0.999 * max(forces)[0])  # of mirrored hooks the first
     of = " without partial factors" * ("combinations" in summary)
     largest = f"Largest force of a support{of}: {digits(size)} N ({name})"
     _section(first, 0.945, words, [largest], BLUE if holds else VERMILION)
@@ -139,9 +139,9 @@ def _forces(supports: list[dict[str, Any]]) -> list[tuple[float, str, str]]:
     rows = []
     for number, one in enumerate(supports, 1):
         of = f" of support {number}" if len(supports) > 1 else ""
-        whole = {"point": f"{one['support']}, in sum", "at_mm": (), "place_mm": (), "force_N": one["force_N"]}
+        whole = {"point": one["support"], "at_mm": (), "place_mm": (), "force_N": one["force_N"]}
         for part in one["points"] if "largest_force_per_ring_N" in one else [whole]:
-            name, size = f"{part['point']}{of}", float(np.linalg.norm(part["force_N"]))
+            name, size = f"{part['point']}{of}{', sum' * (part is whole)}", float(np.linalg.norm(part["force_N"]))
             at, place = (" ".join(f"{round(x)}" for x in part[key]) for key in ("at_mm", "place_mm"))
             rows.append((size, name, ROW.format(name, at, place, digits(size), components(*part["force_N"]))))
     return rows
