@@ -27,7 +27,7 @@ CORNERS = [{"kind": "point", "at": [0.0, SIDE]}, {"kind": "point", "at": [SIDE, 
 BETWEEN = [{"kind": "top"}, {"kind": "edge", "edge": "bottom", "move": [0.0, 40.0, 0.0]}]
 GUST = {"speed": 25.0, "direction": [0.0, 0.0, -1.0], "history": [[0.0, 0.0], [0.15, 1.0], [0.3, 0.0]]}
 SHAKEN = {"kind": "top", "move": [0.0, 0.0, 60.0], "history": [[0.0, 0.0], [0.1, 1.0], [0.2, 0.0]]}
-BALL = {"kind": "sphere", "radius": 60.0, "mass": 0.5, "at": [400.0, 420.0, 120.0], "velocity": [0.0, 0.0, -4000.0]}
+BALL = {"kind": "sphere", "radius": 80.0, "mass": 0.5, "at": [400.0, 420.0, 120.0], "velocity": [0.0, 0.0, -4000.0]}
 SCENES: dict[str, tuple[float, dict[str, Any]]] = {
     "corner let go": (0.3, {"support": CORNERS}),
     "gust": (0.4, {"support": BETWEEN, "load": {"wind": [GUST]}}),
