@@ -75,7 +75,7 @@ def ring_field_lines(found: dict[str, Any], out: Path) -> Iterator[str]:
     """How the rings of a curtain fit, and the forces between them."""
     by_status = ", ".join(f"{count} {name}" for name, count in found["cells_by_status"].items())
     yield f"{found['rings']} rings in {found['cells']} cells ({by_status}), {found['wall_s']:.1f} s; in {out}"
-    yield f"{found['links_intact']} of {found['links']} links intact as drawn"
+    yield f"{found['links'] - found['links_intact']} of {found['links']} links drawn open, as cells stand one by one"
     if found["curtain_status"] not in ("converged", "unknown"):
         yield f"the curtain is not solved: its status is {found['curtain_status']} (summary.json)"
     worst = found["worst_cell"]
@@ -115,7 +115,7 @@ def order_lines(record: dict[str, Any]) -> list[str]:
         lines += [f"  {record['weave']}, rings of {metal}, {across:g} mm across to the middle of a wire of {wire:g} mm"]
         rings = f"{record['rings']} rings in {record['cells']} cells of the weave, "
     pitch = "" if record["hook_pitch_mm"] is None else f", {record['hook_pitch_mm']:g} mm apart along the mesh"
-    lines += [f"  {rings}{digits(record['mass_kg'], 4)} kg; {record['hooks']} single points to hang by{pitch}"]
+    lines += [f"  {rings}{digits(record['mass_kg'], 4)} kg; {record['hooks'] or 'no'} single points to hang by{pitch}"]
     return [*lines, f"  held over {record['held_width_mm']:.1f} mm, lowest point at {record['lowest_point_mm']:.1f} mm"]
 
 
