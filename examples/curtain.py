@@ -135,7 +135,8 @@ def run(out: Path, setting: Setting = DEFAULT) -> dict[str, object]:
         say("3 curtain")
         heights = [hang_curtain(law, folder, cells) for cells in setting.cells]
         found["mean_height_mm"] = extrapolated(*heights)
-    say(f"  mean height {found['mean_height_mm']:.2f} mm" + (", extrapolated" if heights[1:] else ""))
+    if heights[1:]:
+        say(f"  mean height {found['mean_height_mm']:.2f} mm, extrapolated")
     return found
 
 
