@@ -85,8 +85,7 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
         say(*default_law_lines(law_path))
         summary = run_motion(scene, law_path, out, goes_on=goes_on, **files)
         say(*motion_lines(summary, out))
-    law_words = () if law_path is None else ("--law", law_path)
-    _answer_or_go_on(summary, "run", scene, *law_words, "--out", out)
+    _answer_or_go_on(summary, "run", scene, *(("--law", law_path) if law_path else ()), "--out", out)
     _say_next_of_curtain(out, summary)
 
 
@@ -224,7 +223,8 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animatio
 
     say(*default_law_lines(law_path))
     plane, law = () if how["space"] else ("--plane",), () if law_path is None else ("--law", law_path)
-    if load_scene(scene).motion is not None:
+    is_moving = load_scene(scene).motion is not None
+    if is_moving:
         summary = run_motion(scene, law_path, out, animation=animation, goes_on=goes_on, **how)
         say(*motion_lines(summary, out))
     elif goes_on or animation:
@@ -233,7 +233,7 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animatio
         summary = run_rings(scene, law_path, out, **how)
         say(*every_ring_lines(summary, out))
     _answer_or_go_on(summary, "rings", scene, *law, *plane, "--out", out)
-    if "reached_s" not in summary:
+    if not is_moving:
         say_next("macro_fem", "compare", scene, *law, *plane, why="beside the membrane of the law")
 
 

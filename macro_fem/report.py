@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from macro_fem.output.forces import spot_loads
+from macro_fem.output.forces import first_of_largest, spot_loads
 from macro_fem.output.pictures import plot_line_loads, plot_utilisation
 from macro_fem.output.weakest import links
 from macro_fem.scene.scene import Scene
@@ -58,7 +58,7 @@ def write_report(
     shape.set_title("As it hangs: largest principal line load, and its direction", fontsize=8, loc="left")
     words, holds = verdict(summary)
     forces = [*_forces(summary["support_forces"]), (0.0, "none", "")]
-    size, name, _ = next(row for row in forces if row[0] >= 0.999 * max(forces)[0])  # of mirrored hooks the first
+    size, name, _ = forces[first_of_largest([size for size, *_ in forces])]
     of = " without partial factors" * ("combinations" in summary)
     largest = f"Largest force of a support{of}: {digits(size)} N ({name})"
     _section(first, 0.945, words, [largest], BLUE if holds else VERMILION)

@@ -12,7 +12,7 @@ from macro_fem.curtain import is_alike, solve_problem
 from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
-from macro_fem.motion.pace import HALVINGS, Failed, Frame, Mover
+from macro_fem.motion.pace import Failed, Frame, Mover
 from macro_fem.motion.stage import Contacts, let_go, masses_of, scene_at, step_of, weights_of, winds_at
 from macro_fem.motion.step import Account, Moment, end_of, solve_step, stored_energy
 from macro_fem.output import strength
@@ -108,8 +108,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         moment, account = self.at_start(place, masses, weights, stored_energy(problem, x) or 0.0)
         return MotionFrame(moment=moment, account=account, P=P, S=S, supports=forces, problem=problem, cones=cones)
 
-    def next_frame(self, frame: MotionFrame, before: Moment | None, h: float, halvings: int = HALVINGS) -> MotionFrame:
-        """The frame after a step h, or after its two halves where it would pass a body by."""
+    def next_frame(self, frame: MotionFrame, before: Moment | None, h: float) -> MotionFrame:
         now, balls = frame.moment, self.balls
         problem, fem = self.at(now.t + h)
         step, n = step_of(problem, balls, now, before, h, self.motion.damping), problem.disc.n_nodes
@@ -121,10 +120,8 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             if max(contacts.depths(fem.positions(result.z)), default=0.0) <= TOUCHED * self.size + 1e-7 * reach:
                 break  # else points without a half-space are inside a ball
         if contacts.passed(now.x, fem.positions(result.z)) > GRAZED:
-            if not halvings:
-                raise Failed("pierced", f"in the step to {now.t + h:.6g} s a body passes the mesh: use shorter steps")
-            half = self.next_frame(frame, before, 0.5 * h, halvings - 1)
-            return self.next_frame(half, now, 0.5 * h, halvings - 1)
+            words = f"in the step to {now.t + h:.6g} s a body passes the mesh: use shorter steps"
+            raise Failed("pierced", words, too_long=True)
         moved, touched = contacts.work(walls, result.wall_forces, now.x)
         end = replace(end_of(problem, fem, step, result, walls), moved=moved, touched=touched)
         return MotionFrame(

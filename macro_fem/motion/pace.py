@@ -42,11 +42,11 @@ End = Literal["converged", "stopped", "stalled", "infeasible", "pierced"]
 
 
 class Failed(Exception):
-    """A step cannot be solved."""
+    """A step cannot be solved; if it is `too_long`, its halves may be."""
 
-    def __init__(self, status: End, message: str) -> None:
+    def __init__(self, status: End, message: str, *, too_long: bool = False) -> None:
         super().__init__(message)
-        self.status = status
+        self.status, self.too_long = status, too_long
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -237,15 +237,21 @@ class Mover(ABC, Generic[F, A]):
             most = max(frame.most, following.account.kinetic)
             return replace(following, h=after, is_euler=is_impact or motion.scheme == "euler", last=now, most=most)
 
-    def _advanced(self, frame: F, before: Moment | None, h: float) -> F:
-        """The frame after a step h; the same one later if it is at rest and nothing else acts at the end."""
+    def _advanced(self, frame: F, before: Moment | None, h: float, halvings: int = HALVINGS) -> F:
+        """The frame after a step h or its two halves; the same one later if it is at rest and nothing else acts."""
         t = frame.moment.t
         has_moved = frame.most > 0.0 or frame.moment.v.any()
         if not has_moved and self.motion.start == "hung" and not self.scene.of(Ball):
             old, new = ((scene_at(self.scene, at).items, let_go(self.scene, at)) for at in (t, t + h))
             if old == new:
                 return replace(frame, moment=replace(frame.moment, t=t + h), iterations=0)
-        return self.next_frame(frame, before, h)
+        try:
+            return self.next_frame(frame, before, h)
+        except Failed as failed:
+            if not (failed.too_long and halvings):
+                raise
+        half = self._advanced(frame, before, 0.5 * h, halvings - 1)
+        return self._advanced(half, frame.moment, 0.5 * h, halvings - 1)
 
     def _is_impact(self, start: F, end: F, before: Moment | None) -> bool:
         """Whether a step takes energy for good, against the largest kinetic energy so far.

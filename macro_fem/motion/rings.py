@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from macro_fem.motion.pace import HALVINGS, Failed, Frame, Mover
+from macro_fem.motion.pace import End, Failed, Frame, Mover
 from macro_fem.motion.stage import TONNE, relative_wind, scene_at
 from macro_fem.motion.step import Account, Moment, StepEnd, TimeStep
 from macro_fem.rings.every_ring import EveryRing
@@ -118,8 +118,7 @@ class MovingRings(Mover[RingFrame, RingScene]):
         moment, account = self.at_start(ring_places(rings), self.masses(asked), self.weights(asked))
         return RingFrame(moment=moment, account=account, rings=rings, asked=asked)
 
-    def next_frame(self, frame: RingFrame, before: Moment | None, h: float, halvings: int = HALVINGS) -> RingFrame:
-        """The frame after a step h, or after its two halves where it is not solved; Failed where these are not."""
+    def next_frame(self, frame: RingFrame, before: Moment | None, h: float) -> RingFrame:
         now, asked = frame.moment, self.at(frame.moment.t + h)
         mass, n, dead = self.masses(asked), len(asked.mass), self.weights(asked)
         force = asked.force.copy()
@@ -135,17 +134,11 @@ class MovingRings(Mover[RingFrame, RingScene]):
         aim = (step.x_hat + damped * X) / (1.0 + damped)
         end = step_rings(frame.rings, weight, aim, force, asked.held, asked.at, walls=(*asked.walls, *self.bodies))
         rings = end.rings
-        if rings.status == "converged":
-            self._check_balls(rings, now.t + h)
-        else:
-            if not halvings:
-                raise Failed(
-                    "infeasible" if rings.way_left_mm > 0.0 else "stalled",
-                    f"the step to {now.t + h:.6g} s ended {rings.status} at a residual of {rings.kkt_residual:.1e}: "
-                    f"use another step",
-                )
-            half = self.next_frame(frame, before, 0.5 * h, halvings - 1)
-            return self.next_frame(half, now, 0.5 * h, halvings - 1)
+        if rings.status != "converged":
+            words = f"the step to {now.t + h:.6g} s ended {rings.status} at a residual of {rings.kkt_residual:.1e}"
+            status: End = "infeasible" if rings.way_left_mm > 0.0 else "stalled"
+            raise Failed(status, f"{words}: use another step", too_long=True)
+        self._check_balls(rings, now.t + h)
         way = [new.offset - old.offset for new, old in zip(asked.walls, frame.asked.walls, strict=True)]
         pushed = zip(rings.wall_force, asked.walls, way, strict=False)
         moved = sum(float(push @ wall.unit) * d for push, wall, d in pushed)

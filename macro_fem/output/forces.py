@@ -58,6 +58,11 @@ def point_forces(solution: CurtainSolution) -> Iterator[PointForce]:
         yield PointForce(name, np.array(loads[0].at), force, 2.0 * radius, rings, name)
 
 
+def first_of_largest(sizes: Sequence[float]) -> int:
+    """The first of the forces that are the largest up to 1e-3: which of two mirrored hooks bears more is rounding."""
+    return int(np.argmax(np.asarray(sizes) >= 0.999 * max(sizes)))
+
+
 def spot_loads(scene: Scene) -> list[tuple[str, PointLoad | PatchLoad]]:
     """Loads at points and on patches with their names, such as "load.point 1"."""
     kinds: tuple[type[PointLoad | PatchLoad], ...] = (PointLoad, PatchLoad)

@@ -21,7 +21,7 @@ import numpy as np
 
 from homogenize import CellInfo, Strength, strength_of_law
 from macro_fem.fem.hung_law import HungLaw, largest_stretch
-from macro_fem.output.forces import PointForce, point_forces, spot_loads
+from macro_fem.output.forces import PointForce, first_of_largest, point_forces, spot_loads
 from macro_fem.output.line_load import FINE, Extreme, Nearby
 from macro_fem.scene.sites import edge_nodes
 from macro_fem.scene.tables import Bar, EdgeLoad
@@ -181,9 +181,9 @@ def hook_rings(solution: CurtainSolution, known: Strength, cell: CellInfo) -> li
         return [NONE, NONE]
     joint = "welded" if known.joint == "welded" else "butted:worst"
     ring = pulled_ring(cell.r1_mm, cell.r2_mm, known.material, joint)
-    largest = max(one.force / one.rings for one in points)
-    most = next(one for one in points if one.force / one.rings >= 0.999 * largest)  # of mirrored hooks the first
-    return [Extreme(largest / limit, most.at, force=most) for limit in (ring.first_yield_N, ring.collapse_N)]
+    each = [one.force / one.rings for one in points]
+    most = points[first_of_largest(each)]
+    return [Extreme(max(each) / limit, most.at, force=most) for limit in (ring.first_yield_N, ring.collapse_N)]
 
 
 def largest_borne(

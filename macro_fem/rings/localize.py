@@ -33,8 +33,7 @@ NARROW = 1e-3
 class LocalizeOptions(Typed):
     """Which rings of a curtain are wanted: those in the window x0, y0, x1, y1 (mm, before deformation), all if None.
 
-    max_rings: more are refused, because their files grow by 0.5 kB each. InputError for values
-    that make no sense.
+    max_rings: more are refused, because their files grow by 0.5 kB each. InputError for values that make no sense.
     """
 
     window: tuple[float, float, float, float] | None = None
