@@ -67,7 +67,7 @@ def write_report(
     closed = {None: "", "welded": "welded, "}.get(joint, "bent and not welded, ")
     rings = f"rings {closed}yield stress {'not known' if stress is None else f'{stress:g} N/mm2'}"
     order = [mesh, *more, rings, f"mean height {summary['mean_height_mm']:.1f} mm"]
-    _section(first, 0.18, "What to order, and what it covers", _wrapped(order))
+    _section(first, 0.18, "What to order, and how it hangs", _wrapped(order))
     pages, y = [first], FOOT
     loads = "Loads, at x and y in the flat sheet, mm", [_loads(solution.problem.scene)], False
     for head, lines, is_table in (loads, *_sections(summary, filter(None, inputs))):
