@@ -18,7 +18,6 @@ from rve.equilibrium.interior_point import DirectOptions, Equilibrium, LockedSta
 from rve.equilibrium.largest_work import in_cell
 from rve.equilibrium.limits import balanced, with_limits
 from rve.equilibrium.mixtures import MOVED
-from rve.equilibrium.symmetry import solve_equilibrium_symmetric
 from rve.equilibrium.system import Equations, mirror_modes
 from rve.geometry.cell import Cell, weave_axes
 from rve.geometry.contacts import unlisted_gap, widened
@@ -41,7 +40,7 @@ def locked_block(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectO
     solved = np.where(tensile[:, None], s, np.array([0.0, 0.0, 1.0]))
     for weave in (cell.weave, widened(cell.weave)):
         equations = Equations.of(weave, cell.wire)
-        found, unique = with_limits(solved, equations, solve_equilibrium_symmetric(solved, equations, options), options)
+        found, unique = with_limits(solved, equations, solve_equilibrium(solved, equations, options), options)
         if unlisted_gap(found.pose, weave, cell.wire).min() >= 0.0:
             break
     found = replace(found, status=np.where(tensile, found.status, "compressive").astype("<U16"))

@@ -1,6 +1,5 @@
-"""Pairs of rings that cannot touch, asymmetric motions, and contact curvature, in the direct solver."""
+"""Pairs of rings that cannot touch, in the direct solver."""
 
-from dataclasses import replace
 from functools import partial
 from unittest.mock import patch
 
@@ -12,15 +11,14 @@ from benchmarks.omissions.compare import LEFT_OUT, USED, trial, trial_table, ver
 from benchmarks.omissions.motion import TOLERANCE
 from benchmarks.problems import Array, loads
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
-from rve.equilibrium.symmetry import solve_equilibrium_symmetric
-from rve.equilibrium.system import IDLE, Equations
+from rve.equilibrium.system import Equations
 from rve.geometry import contacts
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.pose import pair_geometry
 from rve.geometry.weave import SIX_IN_ONE
 
-FORCED = ("asymmetry", "far-pairs", "unlisted-pairs", "idle-curvature")
+FORCED = ("far-pairs", "unlisted-pairs")
 CELLS = {
     "4-in-1, r1/r2 = 4.2": Cell(5.0, 5.0 / 4.2),
     "4-in-1, r1/r2 = 10": Cell(5.0, 0.5),
@@ -37,11 +35,9 @@ def measure(full: bool) -> Section:
     plain = {name: least_seconds(partial(solved, cell, s), long=3.0) for name, cell in cells.items()}
     trials = [forced(feature, name, cell, plain[name], s) for feature in FORCED for name, cell in cells.items()]
     text = (
-        f"Locked states of {len(given[0])} loads (alpha 0:45:5, beta 5:90:5). `asymmetry`: all coordinates from the "
-        "start, instead of the 5 symmetric ones. `far-pairs`: listed pairs whose centres are too far apart to touch "
-        "are not sampled. `unlisted-pairs`: pairs up to four cells apart that the weave does not list; the solver "
-        "reports their distance and lists them where they would overlap. `idle-curvature`: contacts without force "
-        "have no curvature in the Jacobian."
+        f"Locked states of {len(given[0])} loads (alpha 0:45:5, beta 5:90:5). `far-pairs`: listed pairs whose centres "
+        "are too far apart to touch are not sampled. `unlisted-pairs`: pairs up to four cells apart that the weave "
+        "does not list; the solver reports their distance and lists them where they would overlap."
     )
     met = [met_row(name, cells[name], found) for name, (found, _) in plain.items()]
     met_note = "The last column is a lower bound where centres are too far apart to touch."
@@ -49,17 +45,15 @@ def measure(full: bool) -> Section:
         trial_table("Features switched on in the direct solver", trials),
         table("What the solver met", met, {GAP: ".3f"}, met_note),
     )
-    return Section("Pairs and symmetry of rings", text, tables, (), verdict(trials))
+    return Section("Pairs of rings", text, tables, (), verdict(trials))
 
 
 def solved(cell: Cell, s: Array, feature: str = "") -> Equilibrium:
     """Locked states under the line loads s (n, 3), with one feature switched on."""
     weave = contacts.widened(cell.weave) if feature == "unlisted-pairs" else cell.weave
-    equations = replace(Equations.of(weave, cell.wire), idle=-1.0 if feature == "idle-curvature" else IDLE)
-    solve = solve_equilibrium if feature == "asymmetry" else solve_equilibrium_symmetric
     touch = (lambda d, limit: np.full(d.shape[:-1], True)) if feature == "far-pairs" else contacts.can_touch
     with patch.object(contacts, "can_touch", touch):
-        return solve(s, equations, DirectOptions())
+        return solve_equilibrium(s, Equations.of(weave, cell.wire), DirectOptions())
 
 
 def forced(feature: str, name: str, cell: Cell, plain: tuple[Equilibrium, float], s: Array) -> Row:

@@ -18,7 +18,7 @@ from rve.equilibrium.system import Equations, on_coordinates
 from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.contacts import parallel_clearance
 from rve.geometry.kinematics import deformation_gradient, second_pk
-from rve.geometry.pose import Pose, moved, start_pose, strain_of
+from rve.geometry.pose import Pose, start_pose, strain_of
 
 MARGINS = (1e-4, 1e-6)
 """Gaps of a restart in r1, tried in turn. Wider ones converge faster, but may slide into a state of less work."""
@@ -122,7 +122,7 @@ def open_gaps(pose: Pose, equations: Equations, margin: float, reach: float) -> 
             near = gap < 10.0 * margin
             way = shortest(G[i][near], margin - gap[near])
             dq[i] = 0.0 if way is None else np.clip(way, -0.1, 0.1)
-        pose = moved(pose, equations.displacement(dq, pose))
+        pose = equations.moved(pose, dq)
     return pose
 
 
@@ -179,7 +179,7 @@ def random_poses(equations: Equations, count: int) -> Pose:
     drift = rng.uniform(-1.0, 1.0, shape)
     for _ in range(WALK):
         step = stride * (0.4 * drift + 0.6 * rng.uniform(-1.0, 1.0, shape))
-        there = moved(pose, equations.displacement(step, pose))
+        there = equations.moved(pose, step)
         contacts = equations.contacts(there, STRIDE)
         good = contacts.links_intact & (contacts.min_gap > START_GAP)
         good &= parallel_clearance(pose, there, equations.weave, equations.wire) > 0.0

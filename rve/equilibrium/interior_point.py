@@ -19,7 +19,7 @@ from rve.equilibrium.steps import Valley, accept_step, admitted_share, carry_for
 from rve.equilibrium.system import Equations, System
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import CellContacts, find_contacts
-from rve.geometry.pose import Pose, moved, start_pose
+from rve.geometry.pose import Pose, start_pose
 
 SLOW = (0.5, 0.7)
 """Factors on mu of the attempts after the first; 0.5 solves most loads that stall, 0.3 fewer, 0.7 some of the rest."""
@@ -223,7 +223,7 @@ def solve_equilibrium(
             tuned = replace(options, shrink=SLOW[(attempt - 1) % len(SLOW)], power=1.0)
             tuned = replace(tuned, max_iterations=4 * options.max_iterations)
             shift = 0.03 * np.random.default_rng(attempt).uniform(-1.0, 1.0, (1, equations.modes.shape[1]))
-            pose = moved(pose, equations.displacement(np.repeat(shift, len(left), axis=0), pose))
+            pose = equations.moved(pose, np.repeat(shift, len(left), axis=0))
         # On the central path as far as forces can be.
         contacts, n = equations.contacts(pose, options.reach), len(left)
         mu, inf = np.full(n, options.mu_start), np.full(n, np.inf)

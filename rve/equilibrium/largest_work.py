@@ -27,7 +27,7 @@ from rve.equilibrium.dead_load import (
 from rve.equilibrium.interior_point import Equilibrium, unit_loads
 from rve.equilibrium.limits import balanced, loose_motions
 from rve.equilibrium.system import Equations
-from rve.geometry.pose import Pose, mirrored, moved, strain_of, tiled
+from rve.geometry.pose import Pose, mirrored, strain_of, tiled
 
 GAIN = 1e-9
 """Work at unit trace of S by which a state must exceed another to count as a better one; round-off leaves 1e-12."""
@@ -211,7 +211,7 @@ def states_beyond(found: Equilibrium, S: Array, mesh: LoadedCell) -> KnownStates
         ways.append(PUSH * equations.wire * gives / np.abs(gives).max(axis=1, keepdims=True))
     row, way = np.concatenate(rows), np.concatenate(ways)
     here = found.pose.take(row)
-    start = moved(here, equations.displacement(way, here))
+    start = equations.moved(here, way)
     new = restart(S[row], equations, start, NEAR_MARGIN, mesh.options)
     more = double_dot(S[row], strain_of(new.pose, mesh.sides) - strain_of(here, mesh.sides)) > GAIN
     return KnownStates.of(mesh, new, S[row], more & (new.status == "converged"))

@@ -9,7 +9,7 @@ import numpy as np
 from rve.common import Array, Flags, Index
 from rve.equilibrium.system import Equations, System
 from rve.geometry.contacts import CellContacts, gap_bound, parallel_clearance
-from rve.geometry.pose import Pose, moved
+from rve.geometry.pose import Pose
 
 LARGEST_CORRECTION = 0.1
 """Of a coordinate, in r1 or radians."""
@@ -121,7 +121,7 @@ class Valley:
             short = np.where(known, predicted - reached, 0.0)
             push = np.matmul(G.transpose(0, 2, 1), (self.ratio[rows] * short)[..., None])[..., 0]
             back = np.clip(_solve(self.K[rows], push), -LARGEST_CORRECTION, LARGEST_CORRECTION)
-            pose = moved(pose, equations.displacement(back, pose))
+            pose = equations.moved(pose, back)
             contacts = equations.contacts(pose, reach)
         return pose, contacts
 
@@ -146,19 +146,19 @@ def accept_step(
     links intact, and its contacts. With a valley, steps are corrected."""
     first, before, bad = pose, contacts, np.arange(len(dq))
     length = np.ones(len(dq))
-    here, there = first, moved(first, equations.displacement(dq, first))
+    here, there = first, equations.moved(first, dq)
     for _ in range(31 if valley is None else 0):  # a search would only confirm that these are too long
         tight = np.flatnonzero(gap_bound(before, there, equations.weave, equations.wire) < floor)
         if not len(tight):
             break
         length[tight] *= 0.5
         some = first.take(tight)
-        there = there.put(tight, moved(some, equations.displacement(length[tight, None] * dq[tight], some)))
+        there = there.put(tight, equations.moved(some, length[tight, None] * dq[tight]))
     for tries in range(31):
         step = length[bad, None] * dq[bad]
         if tries:
             here = first.take(bad)
-            there = moved(here, equations.displacement(step, here))
+            there = equations.moved(here, step)
         if valley is None:
             found = equations.contacts(there, reach)
         else:

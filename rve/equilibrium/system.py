@@ -15,13 +15,10 @@ import numpy as np
 from rve.common import Array, Rows
 from rve.common.rings import gyration_radius
 from rve.geometry.contacts import CellContacts, distance_gradient, distance_hessian, find_contacts
-from rve.geometry.pose import Pose, pair_maps, place_maps, reduction, turns_of
+from rve.geometry.pose import Pose, moved, pair_maps, place_maps, reduction, turns_of
 from rve.geometry.weave import Weave
 
 _TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
-
-IDLE = 1e-6
-"""Contacts with less force, in units of s r1, get no curvature: a tenth to a third of them; no step changes."""
 
 
 @dataclass(frozen=True)
@@ -113,10 +110,9 @@ def mirror_modes(weave: Weave) -> Array:
 class Equations:
     """What does not change during a solve: weave, wire = r2/r1, pair maps, mass matrix, the modes that may move, load.
 
-    modes (m, k): motions as combinations of the m reduced coordinates; the identity leaves all of them free. middle
-    (i, j): the second ring is kept at (i a1 + j a2)/2, so that modes of the lattice carry it along (`symmetry`).
+    modes (m, k): motions as combinations of the m reduced coordinates; the identity leaves all of them free.
     is_relative: s are line loads, of which only the directions count, and residuals are measured against them, not
-    against 1. idle: contacts with no more force get no curvature in J.
+    against 1.
     """
 
     weave: Weave
@@ -125,9 +121,7 @@ class Equations:
     mass: Array
     modes: Array
     load: Force = cauchy_load
-    middle: tuple[int, int] | None = None
     is_relative: bool = True
-    idle: float = IDLE
 
     @staticmethod
     def of(weave: Weave, wire: float, modes: Array | None = None, load: Force = cauchy_load) -> Equations:
@@ -139,51 +133,30 @@ class Equations:
         """Every contact of these poses whose gap is below `reach` (in r1)."""
         return find_contacts(pose, self.weave, self.wire, reach)
 
-    def motions(self, pose: Pose) -> Array:
-        """The modes at these poses, (n, m, k), or (1, m, k) where they are the same for all."""
-        if self.middle is None:
-            return self.modes[None]
-        i, j = self.middle
-        x2, y3, t = pose.lattice.T
-        B = np.tile(self.modes, (len(t), 1, 1))
-        B[:, 3, 0], B[:, 3, 1], B[:, 3, 2] = 0.5 * i, 0.5 * j * t, 0.5 * j * y3
-        B[:, 4, 0], B[:, 4, 1], B[:, 4, 2] = 0.5 * i * t, 0.5 * j, 0.5 * i * x2
-        return B
+    def moved(self, pose: Pose, y: Array) -> Pose:
+        """The pose after a step of the mode amplitudes y (n, k)."""
+        return moved(pose, np.matmul(self.modes, y[..., None])[..., 0])
 
-    def displacement(self, y: Array, pose: Pose) -> Array:
-        """Reduced displacement (n, m) from a pose by the mode amplitudes y (n, k)."""
-        v = np.matmul(self.motions(pose), y[..., None])[..., 0]
-        if self.middle is not None:  # a1y = t x2 and a2x = t y3 are bilinear, and the second ring follows them
-            i, j = self.middle
-            v[:, 3] += 0.5 * j * y[:, 1] * y[:, 2]
-            v[:, 4] += 0.5 * i * y[:, 0] * y[:, 2]
-        return v
-
-    def gap_derivatives(
-        self, pose: Pose, contacts: CellContacts, T: Array, lam: Array, least: float
-    ) -> tuple[Array, Array]:
+    def gap_derivatives(self, pose: Pose, contacts: CellContacts, T: Array, lam: Array) -> tuple[Array, Array]:
         """Gap gradients G (n, c, m) on the reduced coordinates, 0 in empty slots, and the sum (n, m, m) of the second
-        derivatives of gaps times their forces lam (n, p, SLOTS) where these are above `least`; T is reduction(pose)."""
+        derivatives of gaps times their forces lam (n, p, SLOTS); T is reduction(pose)."""
         minima, m = contacts.minima, T.shape[2]
         case, pair = np.divmod(minima.pair, len(self.weave.pairs))
         LT = np.matmul(self.maps[pair], T[case])
         G = np.zeros((*contacts.present.shape, m))
         G[contacts.present] = np.matmul(distance_gradient(minima)[:, None, :], LT)[:, 0]
-        force, bend = lam[contacts.present], np.zeros((len(T), m, m))
-        bent = np.flatnonzero(force > least)
-        na, nb = (pose.normals[case[bent], ring] for ring in self.weave.pairs[pair[bent], :2].T)
-        H = distance_hessian(minima.take(bent), na, nb)
-        LTHLT = np.matmul(np.matmul(LT[bent].transpose(0, 2, 1), H), LT[bent])
-        cases, first = np.unique(case[bent], return_index=True)
+        na, nb = (pose.normals[case, ring] for ring in self.weave.pairs[pair, :2].T)
+        bent = lam[contacts.present][:, None, None] * distance_hessian(minima, na, nb)
+        bend, (cases, first) = np.zeros((len(T), m, m)), np.unique(case, return_index=True)
         if len(cases):
-            bend[cases] = np.add.reduceat(force[bent, None, None] * LTHLT, first, axis=0)
+            bend[cases] = np.add.reduceat(np.matmul(np.matmul(LT.transpose(0, 2, 1), bent), LT), first, axis=0)
         return G.reshape(len(T), G.shape[1] * G.shape[2], m), bend
 
     def assemble(self, pose: Pose, contacts: CellContacts, lam: Array, s: Array) -> System:
         """Residual, derivatives and gradients at a pose for contact forces lam (n, p, SLOTS) and loads s (n, ...)."""
         n, T = len(s), reduction(pose)
         f, J = self.load(pose, T, s)
-        G, bend = self.gap_derivatives(pose, contacts, T, lam, self.idle)
+        G, bend = self.gap_derivatives(pose, contacts, T, lam)
         r, J = f + np.matmul(lam.reshape(n, 1, G.shape[1]), G)[:, 0], J + bend
         # Shares of contact forces in the force on a1 and a2.
         flat = np.einsum("nps,npsx->npx", lam, contacts.normal[..., :2])
@@ -191,10 +164,7 @@ class Equations:
         add_lattice_curvature(J, np.concatenate(shares, axis=1))
 
         M = np.matmul(np.matmul(T.transpose(0, 2, 1), self.mass), T)
-        B = self.motions(pose)
-        Bt = B.transpose(0, 2, 1)
+        B, Bt = self.modes, self.modes.T
         f, M, J = np.matmul(Bt, f[..., None])[..., 0], Bt @ M @ B, Bt @ J @ B
-        if self.middle is not None:
-            add_lattice_curvature(J, 0.5 * np.concatenate([part * r[:, 3:5] for part in self.middle], axis=1))
         size = weighted_size(f, M) if self.is_relative else np.ones(n)
         return System(np.matmul(Bt, r[..., None])[..., 0], f, J, G @ B, M, size)

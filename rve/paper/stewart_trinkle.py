@@ -94,7 +94,7 @@ def advanced(
     h, con, T, mass = motion.h, motion.contacts, reduction(motion.pose), dynamics.mass
     Tt, hh, load = T.transpose(0, 2, 1), h[:, None, None], lattice_load(motion.pose, motion.s)[0]
     k, gap = np.where(con.present, dynamics.stiffness[:, None], 0.0), np.where(con.present, con.gap, 0.0)
-    G, bend = equations.gap_derivatives(motion.pose, con, T, np.maximum(-k * gap, 0.0), 0.0)
+    G, bend = equations.gap_derivatives(motion.pose, con, T, np.maximum(-k * gap, 0.0))
     A = np.matmul(Tt, np.matmul(mass / hh**2 + mass * dynamics.decay / hh, T))
     A += geometric_stiffness(-bend, T, equations) if options.curvature else 0.0
     force = np.matmul(motion.v[:, None, :], mass)[:, 0] / h[:, None]

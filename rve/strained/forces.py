@@ -7,11 +7,16 @@ from numpy.typing import NDArray
 
 from rve.common import Array, NotConverged
 from rve.common.tensor import WEIGHT
-from rve.equilibrium.interior_point import DirectOptions
+from rve.equilibrium.interior_point import DirectOptions, LockedStates
+from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, load_angles
-from rve.geometry.pose import pair_geometry
+from rve.geometry.pose import pair_geometry, tiled
+from rve.geometry.weave import supercell
 from rve.solve import locked_block, locked_states
+
+_CENTRING = 4
+"""Steps of Newton's method from forces of three digits."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,20 @@ class CellForces:
         return np.array([sums[0, 0], 0.5 * (sums[0, 1] + sums[1, 0]), sums[1, 1]])
 
 
+def central_forces(states: LockedStates) -> Array:
+    """Contact forces (n, p, SLOTS) of locked states that balance every ring, also across the plane, and have the
+    largest product: the end of the central path, of which gaps rounded to 1e-16 leave three digits."""
+    space, lam = supercell(states.cell.weave, 1, 1, "space"), states.found.lam.copy()
+    equations, pose = Equations.of(space, states.cell.wire), tiled(states.pose, space)
+    system = equations.assemble(pose, states.found.contacts, lam, states.s)
+    for i in np.flatnonzero(states.found.status == "converged"):
+        works = lam[i] > 1e-7
+        for _ in range(_CENTRING):
+            W = lam[i][works][:, None] * system.G[i][works.ravel()]
+            lam[i][works] *= 2.0 + np.linalg.lstsq(W.T, -system.f[i] - 2.0 * W.sum(axis=0), rcond=1e-9)[0]
+    return lam
+
+
 def cell_forces(s: Array, cell: Cell) -> CellForces:
     """Contacts and their forces in the locked cell under one line load s (3,) in N/mm, in weave axes.
 
@@ -48,7 +67,7 @@ def cell_forces(s: Array, cell: Cell) -> CellForces:
     alpha, beta, size = load_angles(s[None])
     states = locked_block(alpha, beta, replace(cell, grain="y"), DirectOptions())
     pose, con, weave, status = states.pose, states.found.contacts, states.cell.weave, str(states.found.status[0])
-    force = states.found.lam[con.present]
+    force = central_forces(states)[con.present]
     works = (force > 1e-9) & (status == "converged")
     minima = con.minima.take(works)
     a, b, i, j = weave.pairs[minima.pair].T
@@ -85,7 +104,7 @@ def largest_forces(s: Array, cell: Cell, step: float = 2.0) -> Array:
     rounded[:, 1] = np.maximum(rounded[:, 1], 0.5 * step)
     keys, back = np.unique(rounded, axis=0, return_inverse=True)
     states = locked_states(keys[:, 0], keys[:, 1], replace(cell, grain="y"), DirectOptions())
-    per_pair, pairs = states.found.lam.max(axis=2), states.cell.weave.pairs[:, :2]
+    per_pair, pairs = central_forces(states).max(axis=2), states.cell.weave.pairs[:, :2]
     mine = [per_pair[:, (pairs == ring).any(axis=1)].max(axis=1) for ring in range(cell.weave.classes)]
     unit = np.where((states.found.status == "converged")[:, None], np.stack(mine, axis=1), np.nan)
     good = np.flatnonzero(np.isfinite(unit).all(axis=1))

@@ -144,8 +144,7 @@ def _settled(E: Array, cell: Cell, states: LockedArrangements) -> tuple[Pose, Ar
     start, good = None, np.zeros(len(E), dtype=bool)
     for stage, (fold, weak, first, last) in enumerate(_LADDER):
         springs = Spring(states.sides, fold, weak)
-        # Weak springs leave weak contact forces, whose curvature counts all the same.
-        equations = replace(Equations.of(cell.weave, cell.wire, load=springs), is_relative=False, idle=-1.0)
+        equations = replace(Equations.of(cell.weave, cell.wire, load=springs), is_relative=False)
         quick = DirectOptions(tolerance=max(last, 1e-9), mu_start=first, mu_end=last, attempts=1, max_iterations=50)
         with part_of(f"stage {stage + 1} of {len(_LADDER)}"):
             found = solve_equilibrium(rows, equations, quick, start)
