@@ -19,8 +19,10 @@ FOLDS = 5
 """Parts in which loads are left out, to learn how wrong what is known between the others is there."""
 RIM_STEP_DEG = 45.0
 """Loads of rank one farther apart than this in the disc (half of it in space) leave the rim between them unknown."""
+ON_RIM = 1e-6
+"""Distance in the disc up to which loads are of rank one, or one load where rounding keeps them apart."""
 BEYOND = 1e-3
-"""Share by which a load may lie beyond the hull and still count as one in it."""
+"""Distance in the disc by which a load may lie beyond the hull and still count as one in it."""
 CHUNK = 500
 """Loads looked up together: 15 MB for the triangles of 190 rows."""
 
@@ -30,44 +32,39 @@ class Directions:
     """Load directions as points of the disc, and the triangles between them; with their mirror images if `is_mirrored`.
 
     slope (2, 3, t), level (3, t): the weights of each triangle's corners at a point x are x slope + level; rows (t, 3):
-    the loads at its corners; hull (k, 3): the half-planes around all, `is_arc` (k,) whether the part of the rim beyond
-    lies between neighbours and so belongs to the table as well. Neighbours are neighbours as Cauchy loads, which
-    lie on a grid, while S crowds where the cell locks far from its reference.
+    the loads at its corners; hull (k, 3): the half-planes around all; limits (j, 3): see `limits_of`.
     """
 
     slope: Array
     level: Array
     rows: NDArray[np.intp]
     hull: Array
-    is_arc: Flags
+    limits: Array
     is_mirrored: bool
 
     @staticmethod
     def of(S: Array, cauchy: Array, is_mirrored: bool) -> Directions:
         """Those of loads S (n, 3) of unit trace and their Cauchy loads (n, 3); InputError unless they surround the
         equibiaxial load."""
-        x, s = disc(S), cauchy
         if is_mirrored:
-            x, s = disc(np.vstack([S, mirror(S)])), np.vstack([cauchy, mirror(cauchy)])
-        first = each_once(x)
-        x, s = x[first], s[first]
+            S, cauchy = np.vstack([S, mirror(S)]), np.vstack([cauchy, mirror(cauchy)])
+        first = each_once(disc(S))
+        x, s = disc(S[first]), disc(cauchy[first] / trace(cauchy[first])[:, None])
         try:
-            s = disc(s / trace(s)[:, None])
-            triangles, around = Delaunay(s).simplices, ConvexHull(x)
+            triangles, hull = Delaunay(s).simplices, ConvexHull(x).equations
         except (QhullError, ValueError) as error:
             raise InputError("strengths need loads that differ in angle and ratio; these lie on one line") from error
-        if around.equations[:, 2].max() >= 0.0:
+        if hull[:, 2].max() >= 0.0:
             raise InputError("strengths need loads on all sides of the equibiaxial one")
-        ends = around.simplices.T
-        is_arc = is_known_arc(x[ends], s[ends])
         sides = np.swapaxes(x[triangles[:, :2]] - x[triangles[:, 2:]], 1, 2)
         good = np.abs(np.linalg.det(sides)) > FLAT
         triangles = triangles[good]
         two = np.linalg.inv(sides[good])
         slope = np.concatenate([two, -two.sum(axis=1, keepdims=True)], axis=1)
         level = np.array([0.0, 0.0, 1.0]) - np.einsum("tij,tj->ti", slope, x[triangles[:, 2]])
-        rows = first[triangles] % len(S)
-        return Directions(slope.transpose(2, 1, 0).copy(), level.T.copy(), rows, around.equations, is_arc, is_mirrored)
+        rows = first[triangles] % (len(S) // (1 + is_mirrored))
+        known = limits_of(S, cauchy)
+        return Directions(slope.transpose(2, 1, 0).copy(), level.T.copy(), rows, hull, known, is_mirrored)
 
     def at(self, S: Array) -> tuple[NDArray[np.intp], Array]:
         """LockedRows (m, 3) around each load S (m, 3) of unit trace, and their weights (m, 3), which sum to 1.
@@ -91,20 +88,32 @@ class Directions:
 
     def extrapolates(self, S: Array) -> Flags:
         """Whether there are no loads around those of S (m, 3), of unit trace, (m,)."""
-        return np.asarray(self._reach(disc(S))[:, ~self.is_arc].max(axis=1, initial=0.0) > 1.0 + BEYOND)
+        return beyond(self.limits, S)
 
     def _reach(self, x: Array) -> Array:
         """How far points x (m, 2) of the disc lie towards each half-plane of the hull, (m, k), which is at 1."""
         return np.asarray(x @ self.hull[:, :2].T / -self.hull[:, 2])
 
 
-def is_known_arc(ends: Array, loads: Array) -> Flags:
-    """Whether the rim between two corners of a hull belongs to it, (k,): where both corners are on the rim and close.
+def limits_of(S: Array, cauchy: Array) -> Array:
+    """The half-planes (k, 3) of the hull of loads S (n, 3) of unit trace in the disc beyond which no load is known.
 
-    ends (2, k, 2): corners of k sides in the disc; loads (2, k, 2): the points in the disc by which they are close.
+    The rim between neighbours of rank one is known. They are neighbours as Cauchy loads (n, 3), which lie on a grid,
+    while S crowds where the cell locks far from its reference, and is the same for several of them where one chain
+    bears all.
     """
-    on_rim = (np.hypot(ends[..., 0], ends[..., 1]) > 1.0 - 1e-6).all(axis=0)
-    return np.asarray(on_rim & ((loads[0] * loads[1]).sum(axis=1) > np.cos(np.radians(RIM_STEP_DEG))))
+    x, s = disc(S), disc(cauchy / trace(cauchy)[:, None])
+    hull, known = ConvexHull(x), []
+    for ends in x[hull.simplices]:
+        one, other = (s[np.hypot(*(x - end).T) < ON_RIM] for end in ends)
+        is_close = (one @ other.T).max() > np.cos(np.radians(RIM_STEP_DEG))
+        known.append(is_close and np.hypot(*ends.T).min() > 1.0 - ON_RIM)
+    return np.asarray(hull.equations[~np.array(known)])
+
+
+def beyond(limits: Array, S: Array) -> Flags:
+    """Whether loads S (m, 3) of unit trace lie beyond the `limits_of` others, (m,)."""
+    return np.asarray((disc(S) @ limits[:, :2].T + limits[:, 2]).max(axis=1, initial=0.0) > BEYOND)
 
 
 def each_once(x: Array, is_mirrored: bool = False) -> NDArray[np.intp]:

@@ -7,18 +7,15 @@ import pkgutil
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
-
-from msgspec import Meta
+from typing import Any
 
 from homogenize import laws
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.stored import SCHEMA, UNITS, StoredLaw
 from homogenize.strength import Strength, read_strength
-from rve.common import Typed, read_entry, read_json_object, read_typed, shown
+from rve.common import Typed, read_json_object, read_typed, shown
 from rve.common.rings import check_rings
 
-Coordinate = Annotated[float, Meta(ge=-1.0, le=1.0)]
 DEFAULT_LAW = Path(__file__).parent / "data" / "rings_10.json"
 """The file of `default_law`."""
 
@@ -67,13 +64,11 @@ def load_law(path: str | Path) -> StoredLaw:
     InputError names file, key and value of what this version does not read.
     """
     found = read_typed(LawEntries, read_json_object(path), f"{path}:")
-    provenance, strength = found.provenance or {}, found.strength
-    if provenance.get("sampled_loads") is not None:
-        read_entry(provenance, "sampled_loads", tuple[tuple[Coordinate, Coordinate], ...], f"{path}: provenance")
+    strength = found.strength
     check_rings(found.cell or {}, f"{path}: cell")
     return replace(
         law_kinds()[found.kind].from_dict(found.parameters, f"{path}: parameters"),
         cell=None if found.cell is None else read_typed(CellInfo, found.cell, f"{path}: cell"),
         strength=None if strength is None else read_strength(strength, f"{path}: strength"),
-        provenance=provenance,
+        provenance=found.provenance or {},
     )

@@ -98,7 +98,8 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
     found = normality(rows, options.normality)
     if not found.holds:
         raise InputError(found.sentence())
-    cell, sampled = cell_of(table), hull_of(rows.S, rows.is_mirrored)
+    cell = cell_of(table)
+    hull_of(rows.S, rows.is_mirrored)  # InputError for loads on one line
     if options.kind == "net" and not rows.is_mirrored:
         raise InputError("kind 'net': is the law of 4-in-1, whose rings hang on two families of straight chains")
     stiffness, origin = stiffness_of(table)
@@ -114,7 +115,6 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
         "rows": len(rows),
         "stiffness": origin,
         "stiffness_by_direction": stiffness_by_direction(law),
-        "sampled_loads": sampled.tolist(),
         "table_rows": rows_to_dict(rows),
         "table_provenance": dict(table.provenance),
         "python": platform.python_version(),

@@ -1,17 +1,16 @@
 """How wrong a law can be: bounds without any reference, rows left out, the worst direction by name."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
-from homogenize.directions import folds_of, is_known_arc
+from homogenize.directions import folds_of
 from homogenize.fitting.bounds import bounds_of
 from homogenize.fitting.rows import LockedRows, Normality
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.report import ErrorReport, Misfit
 from rve.common import Array, InputError, tell
-from rve.common.tensor import disc, from_disc
+from rve.common.tensor import from_disc
 
 
 def misfit_of(S: Array, error: Array) -> Misfit:
@@ -64,13 +63,3 @@ def held_out_misfit(rows: LockedRows, refit: Callable[[LockedRows], MembraneLaw]
         S.append(rows.S[out])
         error.append(law.support(rows.S[out]) - rows.h[out])
     return misfit_of(np.concatenate(S), np.concatenate(error)) if folds else None
-
-
-def is_sampled(polygon: Array, S: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Whether loads S (n, 3) lie in the sampled cone, (n,): in the polygon, or between two close corners on the rim."""
-    x = disc(S / (S[:, 0] + S[:, 2])[:, None])
-    start, end = polygon, np.roll(polygon, -1, axis=0)
-    edge = end - start
-    side = edge[:, 0] * (x[:, 1:] - start[:, 1]) - edge[:, 1] * (x[:, :1] - start[:, 0])
-    ends = np.stack([start, end])
-    return np.asarray(((side >= -1e-9) | is_known_arc(ends, ends)).all(axis=1))

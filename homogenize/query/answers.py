@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from homogenize.fitting.report import is_sampled
-from homogenize.fitting.rows import rows_from_provenance
+from homogenize.directions import beyond, limits_of
+from homogenize.fitting.rows import LockedRows, rows_from_provenance, with_mirror
 from homogenize.io import load_law
-from homogenize.laws.stored import StoredLaw
 from homogenize.query.strain import locked_strain
 from homogenize.strength import MAKE_AGAIN
+from rve import cauchy_of
 from rve.common import Array, InputError
 from rve.common.tensor import double_dot, eigenvalues, trace
 
@@ -47,7 +47,7 @@ def strain_answer(path: str | Path, alpha_deg: float, beta_deg: float) -> dict[s
         **components("S{}", S),
         "h": float(double_dot(S, E)),
         "unique": bool(found.unique[0]),
-        "extrapolated": extrapolates(law, S),
+        "extrapolated": extrapolates(rows, S),
     }
 
 
@@ -58,9 +58,9 @@ def components(key: str, values: Array) -> dict[str, float]:
 
 def support_answer(path: str | Path, S: Array) -> dict[str, Any]:
     """h of the law at the load S (3,); InputError if S is not tensile."""
-    law = load_law(path)
-    check_tensile(S)
-    return {"h": float(law.support(S[None])[0]), "extrapolated": extrapolates(law, S)}
+    law, size = load_law(path), check_tensile(S)
+    rows = rows_from_provenance(law.provenance, str(path))
+    return {"h": float(law.support(S[None])[0]), "extrapolated": extrapolates(rows, S / size)}
 
 
 def strength_answer(path: str | Path, S: Array, yield_N_per_mm2: float | None = None) -> dict[str, Any]:
@@ -100,7 +100,9 @@ def check_tensile(S: Array) -> float:
     return size
 
 
-def extrapolates(law: StoredLaw, S: Array) -> bool:
-    """Whether the table behind the law has no loads around S (3,); false for a law without a table."""
-    polygon = law.provenance.get("sampled_loads")
-    return polygon is not None and not bool(is_sampled(np.array(polygon, float), S[None])[0])
+def extrapolates(rows: LockedRows | None, S: Array) -> bool:
+    """Whether a table of these rows has no loads around S (3,) of unit trace; false without a table."""
+    if rows is None:
+        return False
+    both = with_mirror(rows)
+    return bool(beyond(limits_of(both.S, cauchy_of(both.S, both.E)), S[None])[0])

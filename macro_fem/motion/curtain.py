@@ -206,6 +206,6 @@ def _check(found: PathResult, t: float) -> None:
         return
     if found.stop in ("infeasible", "blocked"):
         words = "supports and obstacles leave the curtain no place: move them less far apart"
-        raise Failed("infeasible", f"at {t:.6g} s {words}")
+        raise Failed("infeasible", f"at {t:.6g} s {words}", too_long=True)
     why = f"an error of {found.evidence.error:.1e} ({found.stop})"
     raise Failed("stalled", f"the step to {t:.6g} s stopped at {why}: use another step")

@@ -1,13 +1,19 @@
 """The error report: it finds the error that is there, and knows where no row has been."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from homogenize import default_law
+from homogenize.directions import beyond, limits_of
 from homogenize.fitting.bounds import outer_law
 from homogenize.fitting.fit import fit
-from homogenize.fitting.report import error_report, held_out_misfit, is_sampled
+from homogenize.fitting.report import error_report, held_out_misfit
 from homogenize.fitting.rows import normality
-from rve.common.tensor import from_disc
+from homogenize.query.answers import extrapolates
+from rve import deformation_gradient, second_pk
+from rve.common.tensor import from_disc, trace
 
 from .conftest import disc_grid, rows_of, table_of
 
@@ -18,17 +24,26 @@ def corners(count):
 
 
 @pytest.mark.parametrize(("count", "covered"), [(4, False), (6, False), (12, True), (36, True)])
-def test_the_rim_between_far_loads_is_not_sampled(count, covered):
-    between = from_disc(np.array([[np.cos(np.pi / count), np.sin(np.pi / count)]]))
-    assert bool(is_sampled(corners(count), between)[0]) is covered
-    assert is_sampled(corners(count), from_disc(0.5 * corners(count))).all()
+def test_the_rim_between_far_loads_is_not_sampled(count, covered, ellipsoid):
+    S, between = from_disc(corners(count)), from_disc(corners(2 * count)[1::2])
+    assert beyond(limits_of(S, S), between).tolist() == [not covered] * count
+    assert not beyond(limits_of(S, S), from_disc(0.5 * corners(count))).any()
+    E = np.tile([0.0, 0.0, 0.5 * (0.3**2 - 1.0)], (count, 1))  # of thin wire, whose loads S crowd
+    thin, asked = (second_pk(deformation_gradient(E), one) for one in (S, between))
+    rows = replace(rows_of(ellipsoid, S), S=thin / trace(thin)[:, None], E=E)
+    assert [extrapolates(rows, one) for one in asked / trace(asked)[:, None]] == [not covered] * count
+
+
+def test_one_chain_that_bears_the_loads_of_several_rows_is_near_all_their_neighbours():
+    strength = default_law().strength
+    assert strength is not None
+    assert not strength.extrapolates(from_disc(corners(360))).any()
 
 
 def test_a_small_polygon_ends_where_its_corners_are():
-    polygon = 0.5 * corners(24)
-    assert is_sampled(polygon, from_disc(0.49 * corners(24))).all()
-    assert not is_sampled(polygon, from_disc(0.51 * corners(24))).any()
-    assert np.array_equal(is_sampled(polygon, 7.0 * from_disc(0.49 * corners(5))), np.ones(5, bool))
+    S = from_disc(0.5 * corners(24))
+    assert not beyond(limits_of(S, S), from_disc(0.49 * corners(24))).any()
+    assert beyond(limits_of(S, S), from_disc(0.51 * corners(24))).all()
 
 
 def test_held_out_error_is_that_of_laws_that_have_not_seen_the_row(ellipsoid):

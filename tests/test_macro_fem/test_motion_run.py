@@ -140,6 +140,14 @@ def test_a_fast_ball_is_not_passed_by(step):
     assert found.frames[-1].moment.v[-1, 2] == pytest.approx(-2400.0, rel=0.15)  # steps of 0.001 s
 
 
+def test_an_obstacle_moved_far_in_one_step_takes_the_sheet_along():
+    bar = {"kind": "cylinder", "axis": [1.0, 0.0, 0.0], "point": [0.0, 200.0, -60.0], "radius": 45.0}
+    moving = bar | {"move": [0.0, 0.0, 150.0], "history": [[0.0, 0.0], [0.1, 1.0]]}
+    found, told = moved({"support": TOP, "obstacle": moving, "motion": {"duration": 0.1, "step": 0.1}})
+    assert np.hypot(*(found.frames[-1].moment.x[:, 1:] - [200.0, 90.0]).T).min() > 44.9
+    assert told["mean_z_mm"][-1] == pytest.approx(85.94, rel=0.02)  # steps of 0.002 s
+
+
 def test_balls_fall_on_a_floor_and_strike_each_other():
     ball = {"kind": "sphere", "radius": 50.0, "mass": 1.0, "at": [0.0, 0.0, 300.0], "velocity": [1000.0, 0.0, 0.0]}
     other = ball | {"mass": 0.5, "at": [195.0, 0.0, 300.0], "velocity": [0.0, 0.0, 0.0]}
