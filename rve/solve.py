@@ -20,7 +20,7 @@ from rve.equilibrium.limits import balanced, with_limits
 from rve.equilibrium.mixtures import MOVED
 from rve.equilibrium.system import Equations, mirror_modes
 from rve.geometry.cell import Cell, weave_axes
-from rve.geometry.contacts import unlisted_gap, widened
+from rve.geometry.contacts import unlisted_gap
 from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
 from rve.geometry.pose import Pose, deformation, tiled
 from rve.table import RowQuality, StrainTable
@@ -30,21 +30,23 @@ BLOCK = 512
 
 
 def locked_block(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions) -> LockedStates:
-    """Locked states of one block of loads (n,). Pairs of rings that the weave does not list are listed if they overlap.
-
-    Rows with a negative principal load get the status "compressive" and are not solved.
-    """
+    """Locked states of one block of loads (n,). Rows with a negative principal load get the status "compressive" and
+    are not solved."""
     s = cauchy_line_load(alpha_deg, beta_deg)[:, weave_axes(cell)]
     principal = cauchy_line_load(np.zeros_like(beta_deg), beta_deg)
     tensile = np.asarray(np.all(principal[:, [0, 2]] >= 0.0, axis=1))
     solved = np.where(tensile[:, None], s, np.array([0.0, 0.0, 1.0]))
-    for weave in (cell.weave, widened(cell.weave)):
-        equations = Equations.of(weave, cell.wire)
-        found, unique = with_limits(solved, equations, solve_equilibrium(solved, equations, options), options)
-        if unlisted_gap(found.pose, weave, cell.wire).min() >= 0.0:
-            break
+    equations = Equations.of(cell.weave, cell.wire)
+    found, unique = with_limits(solved, equations, solve_equilibrium(solved, equations, options), options)
+    found = mark_unlisted(found, cell)
     found = replace(found, status=np.where(tensile, found.status, "compressive").astype("<U16"))
-    return LockedStates(found, s, unique | ~tensile, replace(cell, weave=weave), options.reach)
+    return LockedStates(found, s, unique | ~tensile, cell)
+
+
+def mark_unlisted(found: Equilibrium, cell: Cell) -> Equilibrium:
+    """The equilibria, with the status "unlisted" where rings overlap that the weave does not list as a pair."""
+    overlaps = unlisted_gap(found.pose, cell.weave, cell.wire) < 0.0
+    return replace(found, status=np.where(overlaps, "unlisted", found.status).astype("<U16"))
 
 
 def locked_states(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions) -> LockedStates:
@@ -54,8 +56,6 @@ def locked_states(alpha_deg: Array, beta_deg: Array, cell: Cell, options: Direct
         rows = slice(first, first + BLOCK)
         with part_of(f"{first} of {len(alpha_deg)} loads solved"):
             blocks.append(locked_block(alpha_deg[rows], beta_deg[rows], cell, options))
-    widest = max((states.cell for states in blocks), key=lambda cell: len(cell.weave.pairs))
-    blocks = [states.listing(widest) for states in blocks]
     return blocks[0].join(blocks[1:])
 
 
@@ -73,14 +73,11 @@ def reference_pose(cell: Cell, options: DirectOptions) -> Pose:
     """The pose (n = 1) of the reference cell, see `reference_sides`. Raises NotConverged."""
     modes = mirror_modes(cell.weave) if cell.weave.is_mirrored else None
     along = np.array([[0.0, 0.0, 1.0]])
-    for weave in (cell.weave, widened(cell.weave)):
-        found = solve_equilibrium(along, Equations.of(weave, cell.wire, modes), options)
-        if unlisted_gap(found.pose, weave, cell.wire)[0] >= 0.0:
-            break
+    found = mark_unlisted(solve_equilibrium(along, Equations.of(cell.weave, cell.wire, modes), options), cell)
     if options.reference == "locked" and found.status[0] == "converged":
         # The work of this load is that of its length along the grain, whatever the sides.
-        longest = Equations.of(widened(cell.weave), cell.wire, load=DeadLoad((1.0, 1.0)))
-        found = solve_dead(along, longest, options)
+        longest = Equations.of(cell.weave, cell.wire, load=DeadLoad((1.0, 1.0)))
+        found = mark_unlisted(solve_dead(along, longest, options), cell)
     if found.status[0] != "converged":
         raise NotConverged(f"the reference cell (a pull along the grain): {SENTENCES[str(found.status[0])]}")
     return found.pose
@@ -141,27 +138,23 @@ def largest_table(
     alpha: Array, beta: Array, cell: Cell, states: LockedStates, options: DirectOptions, sides_mm: tuple[float, float]
 ) -> tuple[StrainTable, dict[str, Any]]:
     """The table of these locked states with every row replaced under whose S another known state does more work; and
-    which states coexist, for the sidecar. Pairs of rings that the weave does not list are listed if they overlap.
+    which states coexist, for the sidecar.
     """
     began = time.perf_counter()
-    s, planar = states.s, states
+    s = states.s
     mesh = LoadedCell.of(states.cell, sides_mm, options)
     first = make_rows(states.found, s, mesh)
     states, rows, left = largest_states(states, first, s, mesh)
     primitive = rows.E
-    for larger in cell.stages(states.cell.weave):
+    for larger in cell.stages:
         mesh = LoadedCell.of(larger, sides_mm, options)
         states = replace(states, found=in_cell(states.found, states.s, mesh.cauchy, options.reach), cell=larger)
         rows = replace(rows, pose=tiled(rows.pose, larger.weave))
         states, rows, left = largest_states(states, rows, s, mesh)
     beyond = int((np.abs(rows.E - primitive).max(axis=1) > MOVED).sum())
     record = {"rows_beyond_the_primitive_cell": beyond} if cell.is_larger else {}
-    is_wide = len(planar.cell.weave.pairs) > len(cell.weave.pairs)
-    if not is_wide and unlisted_gap(states.found.pose, states.cell.weave, cell.wire).min() < 0.0:
-        wide = planar.listing(replace(cell, weave=widened(cell.weave)))
-        return largest_table(alpha, beta, cell, wide, options, sides_mm)
     status = np.where(left, "below", states.found.status).astype("<U16")
-    states = replace(states, found=replace(states.found, status=status))
+    states = replace(states, found=mark_unlisted(replace(states.found, status=status), states.cell))
     table = replace(table_rows(alpha, beta, states, sides_mm), branch=rows.branch)
     return table, branch_record(table, first, rows, left, time.perf_counter() - began) | record
 
@@ -182,7 +175,7 @@ def largest_states(
         pushed = balanced(others.pose, unit_loads(others.S), mesh.dead, mesh.options.reach)
         pushed, carried = _under_own_loads(pushed, others.S, mesh)
         free = np.zeros(len(at), dtype=bool)
-        beside.append((at, share, LockedStates(pushed, carried, free, states.cell, states.reach)))
+        beside.append((at, share, LockedStates(pushed, carried, free, states.cell)))
     return replace(states, found=found.put(mixed, own), unique=unique, s=loads, beside=tuple(beside)), rows, left
 
 

@@ -13,10 +13,9 @@ from rve.equilibrium.interior_point import DirectOptions, unit_loads
 from rve.equilibrium.largest_work import KnownStates, Largest, largest, largest_beyond
 from rve.equilibrium.limits import strain_is_unique
 from rve.geometry.cell import Cell, weave_axes
-from rve.geometry.contacts import unlisted_gap, widened
 from rve.geometry.pose import strain_of
 from rve.geometry.weave import Weave
-from rve.solve import lattice_mm, reference_sides
+from rve.solve import lattice_mm, mark_unlisted, reference_sides
 
 ROUND_OFF = 1e-6
 """Share of the larger eigenvalue by which the smaller one may be negative: loads are typed with few digits."""
@@ -109,11 +108,8 @@ def support(
         raise InputError("known: is the answer of another weave, other rings or another size; give one for this cell")
     loads = (S / trace(S)[:, None])[:, weave_axes(cell)]
     states = None if known is None else known.states
-    for weave in (cell.weave, widened(cell.weave)):
-        best, unique, mesh = solve_largest(loads, cell, weave, sides_mm, options, states)
-        found = best.found
-        if unlisted_gap(found.pose, mesh.weave, cell.wire).min() >= 0.0:
-            break
+    best, unique, mesh = solve_largest(loads, cell, sides_mm, options, states)
+    found = mark_unlisted(best.found, mesh)
     good, reached = found.status == "converged", best.states
     E = strain_of(found.pose, best.mesh.sides)[:, weave_axes(cell)]
     E, x2, x3 = (np.where(good[:, None], values, np.nan) for values in (E, *lattice_mm(found.pose, mesh)))
@@ -158,15 +154,10 @@ def company(S: Array, known: KnownStates | None) -> Array:
 
 
 def solve_largest(
-    loads: Array,
-    cell: Cell,
-    weave: Weave,
-    sides_mm: tuple[float, float],
-    options: DirectOptions,
-    known: KnownStates | None,
+    loads: Array, cell: Cell, sides_mm: tuple[float, float], options: DirectOptions, known: KnownStates | None
 ) -> tuple[Largest, NDArray[np.bool_], Cell]:
-    """Best states of the loads (n, 3), flags `unique` (n,), and the cell of their poses, with the pairs of `weave`."""
-    mesh, stages = replace(cell, weave=weave, cells=(1, 1), centres="plane"), cell.stages(weave)
+    """Best states of the loads (n, 3), flags `unique` (n,), and the cell of their poses."""
+    mesh, stages = replace(cell, cells=(1, 1), centres="plane"), cell.stages
     known, beyond = (None, known) if stages else (known, None)
     loaded, beside = LoadedCell.of(mesh, sides_mm, options), None
     others = company(loads, known) if options.branches != "first" else loads[:0]

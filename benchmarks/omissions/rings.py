@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.frame import Section, table
 from benchmarks.measure import Row, least_seconds
-from benchmarks.omissions.compare import LEFT_OUT, USED, trial, trial_table, verdict
+from benchmarks.omissions.compare import LEFT_OUT, trial, trial_table, verdict
 from benchmarks.omissions.motion import TOLERANCE
 from benchmarks.problems import Array, loads
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
@@ -18,7 +18,6 @@ from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.pose import pair_geometry
 from rve.geometry.weave import SIX_IN_ONE
 
-FORCED = ("far-pairs", "unlisted-pairs")
 CELLS = {
     "4-in-1, r1/r2 = 4.2": Cell(5.0, 5.0 / 4.2),
     "4-in-1, r1/r2 = 10": Cell(5.0, 0.5),
@@ -33,11 +32,11 @@ def measure(full: bool) -> Section:
     given = loads(first_beta=5.0)
     s = cauchy_line_load(*given)
     plain = {name: least_seconds(partial(solved, cell, s), long=3.0) for name, cell in cells.items()}
-    trials = [forced(feature, name, cell, plain[name], s) for feature in FORCED for name, cell in cells.items()]
+    trials = [forced(name, cell, plain[name], s) for name, cell in cells.items()]
     text = (
         f"Locked states of {len(given[0])} loads (alpha 0:45:5, beta 5:90:5). `far-pairs`: listed pairs whose centres "
-        "are too far apart to touch are not sampled. `unlisted-pairs`: pairs up to four cells apart that the weave "
-        "does not list; the solver reports their distance and lists them where they would overlap."
+        "are too far apart to touch are not sampled. Pairs up to four cells apart that the weave does not list have "
+        "no forces; where they overlap a row has the status `unlisted`."
     )
     met = [met_row(name, cells[name], found) for name, (found, _) in plain.items()]
     met_note = "The last column is a lower bound where centres are too far apart to touch."
@@ -48,23 +47,20 @@ def measure(full: bool) -> Section:
     return Section("Pairs of rings", text, tables, (), verdict(trials))
 
 
-def solved(cell: Cell, s: Array, feature: str = "") -> Equilibrium:
-    """Locked states under the line loads s (n, 3), with one feature switched on."""
-    weave = contacts.widened(cell.weave) if feature == "unlisted-pairs" else cell.weave
-    touch = (lambda d, limit: np.full(d.shape[:-1], True)) if feature == "far-pairs" else contacts.can_touch
+def solved(cell: Cell, s: Array, *, far_pairs: bool = False) -> Equilibrium:
+    """Locked states under the line loads s (n, 3)."""
+    touch = (lambda d, limit: np.full(d.shape[:-1], True)) if far_pairs else contacts.can_touch
     with patch.object(contacts, "can_touch", touch):
-        return solve_equilibrium(s, Equations.of(weave, cell.wire), DirectOptions())
+        return solve_equilibrium(s, Equations.of(cell.weave, cell.wire), DirectOptions())
 
 
-def forced(feature: str, name: str, cell: Cell, plain: tuple[Equilibrium, float], s: Array) -> Row:
-    """One feature in one cell, against the default."""
-    found, seconds = least_seconds(partial(solved, cell, s, feature), long=3.0)
+def forced(name: str, cell: Cell, plain: tuple[Equilibrium, float], s: Array) -> Row:
+    """Far pairs in one cell, against the default."""
+    found, seconds = least_seconds(partial(solved, cell, s, far_pairs=True), long=3.0)
     good, was_good = found.status == "converged", plain[0].status == "converged"
     change = float(np.abs(found.pose.lattice - plain[0].pose.lattice)[good & was_good].max())
-    overlap = contacts.unlisted_gap(plain[0].pose, cell.weave, cell.wire).min() < 0.0
-    default = USED if feature == "unlisted-pairs" and overlap else LEFT_OUT
     times, ok = (plain[1], seconds), bool((good == was_good).all())
-    return trial(feature, name, times, change, TOLERANCE, "r1", default=default, ok=ok)
+    return trial("far-pairs", name, times, change, TOLERANCE, "r1", default=LEFT_OUT, ok=ok)
 
 
 def met_row(name: str, cell: Cell, found: Equilibrium) -> Row:

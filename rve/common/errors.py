@@ -20,6 +20,7 @@ SENTENCES = {
     "below": "another known state does more work under this load, and no equilibrium was reached from it; allow more "
     "iterations",
     "compressive": "a principal line load is negative and rings cannot push; keep beta between 0 and 90 degrees",
+    "unlisted": "rings that the weave does not list as a pair overlap; list more pairs in the weave",
     "no-limit": "the load leaves the strain free and its limit was not found; raise the smaller principal load",
 }
 _short = reprlib.Repr()

@@ -18,7 +18,7 @@ from rve.common import Array, Flags, Index, Rows, Typed, tell
 from rve.equilibrium.steps import Valley, accept_step, admitted_share, carry_forces, newton_direction
 from rve.equilibrium.system import Equations, System
 from rve.geometry.cell import Cell
-from rve.geometry.contacts import CellContacts, find_contacts
+from rve.geometry.contacts import CellContacts
 from rve.geometry.pose import Pose, start_pose
 
 SLOW = (0.5, 0.7)
@@ -76,31 +76,21 @@ class Equilibrium(Rows):
 @dataclass(frozen=True)
 class LockedStates(Rows):
     """Locked states of n load cases: s (n, 3), Cauchy line loads in weave axes; unique (n,): False where the load
-    leaves the strain free; cell: the mesh, whose weave lists the pairs of rings; reach: gap in r1 up to which contacts
-    are listed; beside: rows (k,) in which several states coexist, the shares (k,) of their other states, and as many of
-    these, under the Cauchy loads that they carry in their own poses.
+    leaves the strain free; cell: the mesh, whose weave lists the pairs of rings; beside: rows (k,) in which several
+    states coexist, the shares (k,) of their other states, and as many of these, under the Cauchy loads that they carry
+    in their own poses.
     """
 
     found: Equilibrium
     s: Array
     unique: Flags
     cell: Cell
-    reach: float
     beside: tuple[tuple[Index, Array, LockedStates], ...] = ()
 
     @property
     def pose(self) -> Pose:
         """Poses in units of r1."""
         return self.found.pose
-
-    def listing(self, cell: Cell) -> LockedStates:
-        """The same states for a cell whose weave lists more pairs after those of this one."""
-        more = len(cell.weave.pairs) - self.found.lam.shape[1]
-        if not more:
-            return self
-        lam = np.pad(self.found.lam, ((0, 0), (0, more), (0, 0)))
-        contacts = find_contacts(self.pose, cell.weave, cell.wire, self.reach)
-        return replace(self, cell=cell, found=replace(self.found, lam=lam, contacts=contacts))
 
 
 @dataclass(frozen=True)

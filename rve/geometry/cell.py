@@ -67,14 +67,14 @@ class Cell(Typed):
                 f"here r1/r2 = {self.r1 / self.r2:.4f}"
             )
 
-    def stages(self, weave: Weave) -> list[Cell]:
-        """One row of the larger cell, then all of it, of the primitive cell's `weave`; [] for the primitive cell. What
-        one row does is a start for several.
-        """
+    @property
+    def stages(self) -> list[Cell]:
+        """One row of the larger cell, then all of it; [] for the primitive cell. What one row does is a start for
+        several."""
         nx, ny = self.cells
         sizes = [(nx, 1), (nx, ny)] if nx > 1 and ny > 1 else [self.cells] if self.is_larger else []
         plain = replace(self, cells=(1, 1), centres="plane")
-        return [replace(plain, weave=supercell(weave, *size, self.centres)) for size in sizes]
+        return [replace(plain, weave=supercell(self.weave, *size, self.centres)) for size in sizes]
 
     @property
     def is_larger(self) -> bool:

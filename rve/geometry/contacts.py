@@ -121,13 +121,6 @@ def unlisted_pairs(weave: Weave) -> Weave:
     return replace(weave, pairs=np.array(found, dtype=int).reshape(-1, 4), linked=np.zeros(len(found), dtype=bool))
 
 
-def widened(weave: Weave) -> Weave:
-    """The weave with all its pairs up to `SHELL` primitive cells apart listed."""
-    both = weave, unlisted_pairs(weave)
-    pairs, linked = np.concatenate([one.pairs for one in both]), np.concatenate([one.linked for one in both])
-    return replace(weave, pairs=pairs, linked=linked)
-
-
 def unlisted_gap(pose: Pose, weave: Weave, wire: float) -> Array:
     """Smallest gap (n,) of unlisted pairs in r1, or a lower bound of it where their centres are too far apart."""
     rest = unlisted_pairs(weave)

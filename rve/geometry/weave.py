@@ -74,6 +74,7 @@ def _two_rows(links: set[tuple[int, int]], reach: int, same: tuple[tuple[int, in
 
 
 _NEAR = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2))
+_FARTHER = (*_NEAR, (3, 0), (0, 3), (2, 1), (2, -1), (3, 1), (3, -1))
 _TILT = np.radians(34.114592859)
 _ROW, _LEAN = 1.30114408, 0.23404368
 
@@ -94,7 +95,7 @@ FOUR_IN_ONE = Weave(
 # and lean along x too. The mirror image leans the other way: two mirror forms of one mesh.
 SIX_IN_ONE = Weave(
     "6-in-1",
-    *_two_rows({(i, j) for i in (-1, 0, 1) for j in (0, -1)}, 4, (*_NEAR, (3, 0), (2, 1), (2, -1), (3, 1), (3, -1))),
+    *_two_rows({(i, j) for i in (-1, 0, 1) for j in (0, -1)}, 4, _FARTHER),
     np.array([1.22213041, _ROW, _LEAN]),
     np.array([[0.0, 0.0], [0.5 * _LEAN * _ROW, 0.5 * _ROW]]),
     np.array([[-0.41265208, 0.58663338, 0.69683536], [0.41265208, -0.58663338, 0.69683536]]),

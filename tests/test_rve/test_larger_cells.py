@@ -63,7 +63,7 @@ def test_gaps_and_residuals_in_space_have_exact_derivatives(name):
 
 
 def test_planar_states_are_states_of_the_larger_cell_balanced_in_space(planar):
-    mesh = SPACE.stages(SIX_IN_ONE)[-1]
+    mesh = SPACE.stages[-1]
     sides = weave_sides(mesh, reference_sides(THIN, DirectOptions()))
     pose = tiled(planar.states.pose, mesh.weave)
     np.testing.assert_allclose(strain_of(pose, sides), planar.E, atol=1e-14)
@@ -84,7 +84,7 @@ def test_rings_that_leave_the_plane_do_more_work_and_never_less(planar, beyond):
     assert (beyond.h - planar.h).max() > 0.01
     depth = np.ptp(beyond.states.pose.centres[..., 2], axis=1)
     assert (depth[beyond.h - planar.h > 1e-6] > 1e-3).all()
-    mesh = SPACE.stages(SIX_IN_ONE)[-1]
+    mesh = SPACE.stages[-1]
     assert unlisted_gap(beyond.states.pose, mesh.weave, mesh.wire).min() > 0.0
     assert beyond.row(0)["cells"] == [2, 1]
     assert beyond.row(0)["centres"] == "space"
@@ -100,7 +100,7 @@ def test_the_weave_of_thick_wire_stays_in_the_plane_and_its_chains_share_their_l
 
 def test_states_give_way_out_of_the_plane_where_wire_is_thin(planar):
     """Not at the load whose planar state is the largest."""
-    mesh = SPACE.stages(SIX_IN_ONE)[-1]
+    mesh = SPACE.stages[-1]
     equations = Equations.of(mesh.weave, THIN.wire, load=DeadLoad(weave_sides(mesh, (planar.b_x_mm, planar.b_y_mm))))
     found = balanced(tiled(planar.states.pose, mesh.weave), unit_loads(planar.S), equations, 0.6)
     for _, stiffness, motions in loose_motions(equations, found, unit_loads(planar.S)):

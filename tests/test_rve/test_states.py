@@ -5,15 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rve.common.errors import InputError
-from rve.common.tensor import WEIGHT
+from rve.common.errors import InputError, NotConverged
+from rve.directions import grid
+from rve.equilibrium.interior_point import DirectOptions
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
+from rve.geometry.contacts import unlisted_gap
 from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.weave import FOUR_IN_ONE
+from rve.geometry.weave import FOUR_IN_ONE, WEAVES
 from rve.more_columns import with_rings
-from rve.solve import solve_table
+from rve.solve import locked_states, solve_table
 from rve.strained.forces import largest_forces
+from rve.support_function import support
 from rve.table import read_table
 
 LOADS = np.array([20.0, 45.0, 10.0, 25.0]), np.array([30.0, 60.0, 95.0, 0.0])
@@ -54,22 +57,21 @@ def test_rings_of_another_cell_are_refused(table, cell):
         with_rings(table, cell)
 
 
-def test_blocks_with_more_pairs_join_those_with_fewer(monkeypatch):
-    """A weave that forgets its side neighbours needs them under the second load; the states are those of 4-in-1."""
+def test_rings_that_overlap_and_are_not_listed_as_a_pair_have_no_answer():
+    """A weave that forgets its side neighbours needs them under the second load, and in its reference cell."""
     kept = np.array([a != b or (i, j) not in ((1, 0), (1, 1), (1, -1)) for a, b, i, j in FOUR_IN_ONE.pairs.tolist()])
-    forgetful = replace(FOUR_IN_ONE, pairs=FOUR_IN_ONE.pairs[kept], linked=FOUR_IN_ONE.linked[kept])
-    monkeypatch.setattr("rve.solve.BLOCK", 1)
-    loads = np.array([0.0, 10.0]), np.array([45.0, 80.0])
-    states = solve_table(Cell(weave=forgetful), loads).states
-    assert len(states.cell.weave.pairs) == 161 == states.found.lam.shape[1]
-    equations = Equations.of(states.cell.weave, states.cell.wire)
-    system = equations.assemble(states.pose, states.found.contacts, states.found.lam, states.s)
-    assert system.weighted_residual.max() < 1e-9
-    plain = solve_table(Cell(), loads)
-    np.testing.assert_allclose(states.pose.lattice, plain.states.pose.lattice, atol=1e-9)
-    rings = with_rings(solve_table(Cell(weave=forgetful), loads), Cell(weave=forgetful)).compliance
-    assert rings == pytest.approx(with_rings(plain, Cell()).compliance, rel=1e-5, abs=1e-9)
-    assert (np.einsum("nii->n", WEIGHT[:, None] * rings) > 0.0).all()
+    forgetful = Cell(weave=replace(FOUR_IN_ONE, pairs=FOUR_IN_ONE.pairs[kept], linked=FOUR_IN_ONE.linked[kept]))
+    states = locked_states(np.array([0.0, 10.0]), np.array([45.0, 80.0]), forgetful, DirectOptions())
+    assert states.found.status.tolist() == ["converged", "unlisted"]
+    with pytest.raises(NotConverged, match="list more pairs"):
+        support(forgetful, [1.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("name", WEAVES)
+@pytest.mark.parametrize("ratio", [6.1, 20.0, 100.0])
+def test_weaves_list_all_pairs_of_rings_that_touch(name, ratio):
+    states = solve_table(Cell(5.0, 5.0 / ratio, name), grid(15.0, WEAVES[name]), DirectOptions(branches="first")).states
+    assert unlisted_gap(states.pose, states.cell.weave, 1.0 / ratio).min() > 0.01
 
 
 ANGLES = np.array([0.0, 0.0, 20.0, 45.0, 70.0]), np.array([45.0, 20.0, 30.0, 10.0, 35.0])
