@@ -26,10 +26,8 @@ ALONG, AROUND = 24, 8
 """Points along and around the wire of a ring in files: lines of 100,000 rings stay below 60 MB."""
 LEAST = 3e-3
 """The scale of contact forces begins at this part of its top end."""
-MOST_TUBES, MOST_POINTS = 1000, 300_000
-"""Of a view this number of rings have the thickness of the wire; more are lines with this many points together."""
-MOST_DRAWN = 2_500_000
-"""Points of all tori of a picture together; many rings have coarser ones."""
+MOST_FINE, MOST_TUBES, MOST_POINTS = 200, 1000, 300_000
+"""Of a view these numbers of rings are fine tori, and coarse ones; more are lines with this many points together."""
 CLOSE = 8.0
 """Radius of the close-up, in r1."""
 NO_FORCE, BLACK = "#808890", "#111111"
@@ -136,7 +134,8 @@ class DrawnRings:
         colours = scale if values and scale else NO_FORCE
         count = len(self.centre)
         if count <= MOST_TUBES:
-            space.add(plotter, "rings", self.tori(20, 6, **values), colours)
+            along, around = (36, 12) if count <= MOST_FINE else (20, 6)
+            space.add(plotter, "rings", self.tori(along, around, **values), colours)
         else:
             points = int(np.clip(MOST_POINTS // count, 8, ALONG))
             mesh = space.lines(self.closed_circles(points))
@@ -157,29 +156,23 @@ class DrawnRings:
 
         sheet_normal (3,): of the sheet at that ring.
         """
-        centre, force = self.centre, np.zeros(len(self.centre)) if self.force is None else self.force
-        middle, half, scale, plotter = centre[at], CLOSE * self.r1, force_scale(force), space.new_plotter(2)
+        centre, half, plotter = self.centre, CLOSE * self.r1, space.new_plotter(2)
         plotter.subplot(0, 0)
-        # Wire thinner than a pixel fades away: seen from afar it is drawn a pixel thick.
-        thick = max(self.r2, 0.6e-3 * float(np.ptp(centre, axis=0).max()))
-        along, around = (24, 6) if len(centre) < 6000 else (int(np.clip(MOST_DRAWN // (3 * len(centre)), 8, 14)), 3)
-        space.add(plotter, "all rings", replace(self, r2=thick).tori(along, around, **{scale.label: force}), scale)
-        window = replace(self, centre=middle[None], normal=sheet_normal[None], r1=half, force=None)
+        self.draw(plotter)
+        window = replace(self, centre=centre[at][None], normal=sheet_normal[None], r1=half)
         circle = space.lines(window.closed_circles(4 * ALONG))
         space.add(plotter, "close-up at the largest line load", circle, BLACK, line_width=6)
         space.add_length(plotter, space.below(centre), float(np.linalg.norm(np.ptp(centre, axis=0))))
         is_plane = np.abs(centre[:, 2]).max() <= 1e-9 * np.abs(centre).max()
         space.look(plotter, (0.0, 0.0, -1.0) if is_plane else space.THREE_QUARTERS)
         plotter.subplot(0, 1)
-        near = np.linalg.norm(centre - middle, axis=1) < 1.3 * half
-        close = replace(self, centre=centre[near], normal=self.normal[near])
-        space.add(plotter, "rings near by", close.tori(36, 12, **{scale.label: force[near]}), scale)
+        near = np.linalg.norm(centre - centre[at], axis=1) < 1.3 * half
+        force = None if self.force is None else self.force[near]
+        replace(self, centre=centre[near], normal=self.normal[near], force=force).draw(plotter, (self,))
         front = sheet_normal if sheet_normal[2] >= 0.0 else -sheet_normal
         up = np.array([0.0, 1.0, 0.0] if abs(front[1]) < 0.9 else [0.0, 0.0, -1.0])
-        side = np.cross(up, front)
-        from_below = 2.2 * up - 0.6 * side - 4.2 * front  # and from the side: one sees how the rings lie
-        seen = close.centre  # the ring that bears most is often in a corner of the mesh
-        space.look(plotter, from_below, up, np.stack([seen.min(axis=0) - self.r1, seen.max(axis=0) + self.r1]))
+        from_below = 2.2 * up - 0.6 * np.cross(up, front) - 4.2 * front  # and from the side: one sees how the rings lie
+        space.look(plotter, from_below, up)
         return plotter
 
 
