@@ -116,21 +116,18 @@ def supports_reach(problem: CurtainProblem, start: CurtainSolution | None = None
 def _solve_within_reach(
     problem: CurtainProblem, reach: Reach, cones: Cones | None, x: Array
 ) -> tuple[PathResult, float | None]:
-    """The solver's record from positions x (n_nodes, d), and the relaxation of a law at its stretch limit: the even
-    tension that opens out slack parts stays in a rigid curtain and only guides an elastic one.
-    """
-    spec, size = problem.scene.solver, problem.mesh.size
-    load, z = problem.fem.gather(problem.force), problem.fem.unknowns(x)
-    tension = problem.fem.force(stabilising_tension(problem) * problem.frame)
+    """The solver's record from positions x (n_nodes, d), and the relaxation of a law at its stretch limit."""
+    spec, size, z = problem.scene.solver, problem.mesh.size, problem.fem.unknowns(x)
+    load = problem.fem.gather(problem.force) + problem.fem.force(stabilising_tension(problem) * problem.frame)
     violation = max(PathOptions.violation, COUNTED * spec.tolerance)
     options = PathOptions(gap=spec.tolerance, violation=violation, max_iterations=spec.max_iterations, cones=cones)
     if problem.scene.solver.is_elastic:
         law = problem.elastic_law
-        terms = Terms(law.compliance, tension, problem.walls)
+        terms = Terms(law.compliance, problem.walls)
         return solve_path(problem.fem, law, load, z, size, replace(options, least_gap=ELASTIC_GAP), terms), None
 
     def solve(fem: SupportedFem, z: Array, options: PathOptions, walls: Walls) -> PathResult:
-        return solve_path(fem, problem.law, load + tension, z, size, options, Terms(walls=walls))
+        return solve_path(fem, problem.law, load, z, size, options, Terms(walls=walls))
 
     if reach.is_at_limit:
         return solve_at_stretch_limit(solve, problem.fem, z, options, reach, problem.walls)
@@ -143,7 +140,7 @@ def make_solution(
     """The record, the dual value of the spread problem made a bound for the load's own potential."""
     fem, elastic = problem.fem, problem.scene.solver.is_elastic
     x, F = fem.positions(result.z), fem.gradient(result.z)
-    tension = 0.0 if elastic else stabilising_tension(problem)
+    tension = stabilising_tension(problem)
     work = float((problem.force * (x - fem.reference)).sum())
     shift = float(fem.gather(problem.force) @ result.z) - work  # what supports and the choice of origin add to -l.z
     held = fem.gradient(np.zeros_like(result.z))

@@ -118,7 +118,7 @@ def solve_shape(
     own = replace(found.problem, scene=scene, bodies=problem.bodies, winds=problem.winds)
     found = replace(found, problem=own, settling=record)
     higher = [tension for tension in SMOOTHING if tension > scene.solver.stabilising_tension]
-    if is_drag and found.status == "unsettled" and higher and not scene.solver.is_elastic:
+    if is_drag and found.status == "unsettled" and higher:
         tense = replace(scene, solver=replace(scene.solver, stabilising_tension=higher[0]))
         found = solve_shape(replace(problem, scene=tense), found, solve, higher[0])
     return replace(found, wall_s=time.perf_counter() - begin)

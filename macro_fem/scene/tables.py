@@ -226,9 +226,8 @@ class Solver(Typed):
 
     `tolerance` is relative to the problem's energy scale, total load times size. `stabilising_tension` adds an even
     tension of this part of (total load / size) everywhere, which decides the shape of slack parts. The bounds in the
-    summary allow for it, 0 switches it off; an elastic curtain is only guided by it. `bounds` asks for bounds of the
-    continuous curtain, `adapt` for this number of refinements where the bounds differ. `space` gives a plane scene the
-    third coordinate that it does not need.
+    summary allow for it, 0 switches it off. `bounds` asks for bounds of the continuous curtain, `adapt` for this number
+    of refinements where the bounds differ. `space` gives a plane scene the third coordinate that it does not need.
     """
 
     kind: Literal["auto", "rigid", "elastic"] = "auto"

@@ -35,8 +35,6 @@ GOOD = 0.5
 """A step is found anew with the half-spaces in its way if they leave less than this part of it,"""
 ANEW = 2
 """but no more often than this in a row. More costs factorisations, less short steps."""
-RELEASED = 1e-7
-"""Relative gap at which a guiding load is taken away. Earlier, slack parts move again; later, steps are short."""
 INSIDE = 1e-3
 """Relative margin in the law from which the answer is drawn back to a state. Larger: earlier, farther states."""
 MOST_DRAWN = 1e-3
@@ -82,12 +80,6 @@ class _Place:
         gap = (self.primal - self.lower) / self.program.scale
         return Evidence(gap, self.now.unbalanced, self.violation)
 
-    def under(self, load: Array) -> _Place:
-        """The place measured for the load, without a guide."""
-        if self.program.load is load:
-            return self
-        return _Place.at(replace(self.program, load=load), self.state, self.interior_margin)
-
 
 def solve_path(
     fem: SupportedFem,
@@ -110,7 +102,7 @@ def solve_path(
     program = Program(
         fem=fem,
         law=law,
-        load=load if terms.guide is None else load + terms.guide,
+        load=load,
         cones=cones,
         R=compliance_root(terms.compliance),
         scale=loads * size + (0.0 if inertia is None else inertia.energy_scale),
@@ -119,37 +111,33 @@ def solve_path(
         inertia=inertia,
     )
     first = _Place.at(program, find_first_state(program, start, options.first_gap))
-    place, inner, stop, steps = _follow(first, load, options)
-    return _make_result(place.under(load), stop, inner, steps, options)
+    return _make_result(*_follow(first, options), options)
 
 
-def _follow(place: _Place, load: Array, options: PathOptions) -> tuple[_Place, _Place, str, int]:
-    """Where the path from a place ends, the place near it with the largest margin, why it ends, how many steps."""
+def _follow(place: _Place, options: PathOptions) -> tuple[_Place, str, _Place, int]:
+    """Where the path from a place ends, why, the place near it with the largest margin, and how many steps."""
     inner, best = replace(place, interior_margin=-place.violation), place
     prunes, steps, waited, held = list(options.pruned_at), 0, 0, 0
-    while (stop := _find_stop(place, inner, load, options, steps)) is None:
+    while (stop := _find_stop(place, inner, options, steps)) is None:
         points = len(place.program.fem.disc.weight)
         tell(f"curtain of {points} points, gap {place.now.gap:.0e} down to {options.gap:.0e}")
         after = None if waited > PATIENCE else _try_step(place, options, may_wait=held < ANEW)
         if after is None:
-            return best, inner, "stalled", steps
+            return best, "stalled", inner, steps
         known, (program, state, is_moved, margin) = len(place.program.c), after
         steps, held = steps + 1, 0 if is_moved else held + 1
         if prunes and place.now.gap < prunes[0]:
             program, state = prune(program, state)
             del prunes[0]
         if not state.is_inside:
-            return best, inner, "stalled", steps
+            return best, "stalled", inner, steps
         place = _Place.at(program, state, margin)
         if place.interior_margin > inner.interior_margin and inner.interior_margin < INSIDE:
             inner = place
         waited += place.now.error < SETTLED and len(program.c) == known
-        is_released = program.load is not load and place.now.gap < max(RELEASED, options.gap)
-        if is_released:
-            place = place.under(load)
-        if is_released or place.now.error < best.now.error:
+        if place.now.error < best.now.error:
             best, waited = place, 0
-    return best if stop == "iterations" else place, inner, stop, steps
+    return best if stop == "iterations" else place, stop, inner, steps
 
 
 def _try_step(place: _Place, options: PathOptions, *, may_wait: bool) -> tuple[Program, ConeState, bool, float] | None:
@@ -173,16 +161,15 @@ def _try_step(place: _Place, options: PathOptions, *, may_wait: bool) -> tuple[P
     return program, advance(state, shorter), shorter.dual > 0.0, -np.inf
 
 
-def _find_stop(place: _Place, inner: _Place, load: Array, options: PathOptions, steps: int) -> str | None:
-    """Why the path ends at a place after so many steps; None where it goes on, as it does while a guide acts or the
-    answer's own numbers are not as good as asked.
+def _find_stop(place: _Place, inner: _Place, options: PathOptions, steps: int) -> str | None:
+    """Why the path ends at a place after so many steps; None where it goes on, as it does while the answer's own
+    numbers are not as good as asked.
     """
     now, program = place.now, place.program
     is_dual = not program.lead and now.outside != 0.0 and now.dual > 0.0
     if is_dual and float(np.abs(now.r_y).sum()) / program.total < 1e-6 * now.dual:  # y proves that there is no z
         return "blocked" if len(place.state.u) else "infeasible"
-    is_free = place.program.load is load
-    is_close = is_free and place.now.error < options.gap and place.violation < options.violation
+    is_close = place.now.error < options.gap and place.violation < options.violation
     if is_close and _draw_inside(place, inner, options).evidence.meets(options.accuracy):
         return "closed"
     if options.enough is not None and options.enough(place.state.z, place.lower):

@@ -99,12 +99,10 @@ def times(W: Array, v: Array) -> Array:
 class Terms:
     """What a curtain has beside its law and its load.
 
-    compliance (3, 3): mm/N in tensor components. guide (n,), N: small forces that act until the gap is `RELEASED`, and
-    give a shape to what the load leaves without one. walls: half-spaces on points. inertia: of a step of motion.
+    compliance (3, 3): mm/N in tensor components. walls: half-spaces on points. inertia: of a step of motion.
     """
 
     compliance: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    guide: Array | None = None
     walls: Walls | None = None
     inertia: Inertia | None = None
 

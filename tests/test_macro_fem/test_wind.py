@@ -166,6 +166,15 @@ def test_folds_that_find_no_rest_in_drag_are_smoothed_and_the_answer_says_so():
     assert -solution.reactions[:, 2].sum() == pytest.approx(wind_summary(solution)["wind"][0]["drag_N"], rel=1e-3)
 
 
+@pytest.mark.slow
+def test_folds_of_elastic_rings_come_to_rest_in_drag_too():
+    """The even tension stays in their load; without it forces of 5e-3 of the loads turned after 44 rounds."""
+    hooks, wind = {"kind": "hooks", "pitch": 150.0, "gather": 0.8}, {"direction": [0.0, 0.0, 1.0], "speed": 18.0}
+    solution = solve_problem(posed(sheet(600.0, 800.0, 6, hooks, {}, {"wind": wind}, {"kind": "elastic"})))
+    assert solution.status == "converged", solution.message
+    assert -solution.reactions[:, 2].sum() == pytest.approx(wind_summary(solution)["wind"][0]["drag_N"], rel=1e-3)
+
+
 def test_a_track_drawn_to_its_half_takes_less_than_a_plate():
     """3000 x 2300 mm on a track of radius 1500 mm at fullness 1.5: the half-open front is 1.0 m wide."""
     drags = []
