@@ -15,8 +15,8 @@ from rve.equilibrium.system import Equations, System
 from rve.geometry.contacts import CellContacts
 from rve.geometry.pose import Pose, moved
 
-_SIZES = 1.6e-2 * 0.5 ** np.arange(7)
-"""Second principal loads over the first, by which the limit is approached; more of them get nearer and take longer."""
+_ON_WAY, _LAST = (1.6e-2, 4e-3, 1e-3), (1e-3, 5e-4, 2.5e-4)
+"""Second principal loads over the first, by which the limit is approached, and from which it is extrapolated."""
 TOUCHING = 1e-6
 """Gap in r1 below which a contact may carry force in a locked state; working ones end at 1e-13 over their force."""
 SOFT = 1e-8
@@ -51,49 +51,32 @@ def loose_motions(equations: Equations, found: Equilibrium, s: Array) -> Iterato
 def limit_equilibrium(s: Array, equations: Equations, options: DirectOptions) -> Equilibrium:
     """Equilibria under the loads s (n, 3) that are limits for a vanishing addition to the second principal load.
 
-    Paths for every second of decreasing additions come first, each started from the one before and stopped at
-    complementarity 1e-3 of the addition, where gaps are still open. The smallest three whose extrapolation Newton's
-    method confirms count; status "no-limit" if none do.
+    Paths for decreasing additions come first, each started from the one before and stopped at complementarity 1e-3 of
+    the addition, where gaps are still open. The equilibria of the last three additions are extrapolated, and every pair
+    of rings is closed that carries more than 1e-3 of the last one in it. Status "no-limit" where Newton's method does
+    not confirm that.
     """
     mean, half = 0.5 * (s[:, 0] + s[:, 2]), 0.5 * (s[:, 0] - s[:, 2])
     radius = np.hypot(half, s[:, 1])
     n1 = np.stack([radius + half, s[:, 1], radius - half], axis=1) / np.maximum(2.0 * radius, 1e-300)[:, None]
     inward = (mean + radius)[:, None] * (np.array([1.0, 0.0, 1.0]) - n1)
-    paths: list[Equilibrium] = []
-    start, early = None, replace(options, attempts=1)
-    for size in _SIZES[:-2:2]:
+    start, early, iterations = None, replace(options, attempts=1), np.zeros(len(s), dtype=int)
+    for size in _ON_WAY:
         mu = 1e-3 * size
-        paths.append(solve_equilibrium(s + size * inward, equations, replace(early, mu_end=mu, tolerance=mu), start))
-        start, early = paths[-1].pose, replace(early, mu_start=4.0 * mu)
-    result = replace(paths[-1], status=np.full(len(s), "no-limit", dtype="<U16"))
-    iterations, left = np.sum([part.iterations for part in paths], axis=0), np.arange(len(s))
-    for k in range(len(_SIZES) - 3, -1, -1):
-        loads = np.concatenate([s[left] + size * inward[left] for size in _SIZES[k : k + 3]])
-        exact, near = replace(options, attempts=1, mu_start=1e-3 * _SIZES[k]), paths[k // 2].pose.take(np.tile(left, 3))
-        ends = solve_equilibrium(loads, equations, exact, near)
-        three = [ends.take(part) for part in np.arange(3 * len(left)).reshape(3, -1)]
-        iterations[left] += np.sum([part.iterations for part in three], axis=0)
-        limit = _extrapolate_limit(three, s[left], equations, options, 1e-3 * _SIZES[k + 2])
-        good = np.flatnonzero(limit.status == "converged")
-        result = result.put(left[good], limit.take(good))
-        left = np.delete(left, good)
-        if not len(left):
-            break
-    return replace(result, iterations=iterations)
-
-
-def _extrapolate_limit(
-    three: list[Equilibrium], s: Array, equations: Equations, options: DirectOptions, force: float
-) -> Equilibrium:
-    """The limit of three equilibria with second loads d, d/2, d/4 as an equilibrium under s alone, with every pair of
-    rings closed that carries more than `force` in the last one."""
+        path = solve_equilibrium(s + size * inward, equations, replace(early, mu_end=mu, tolerance=mu), start)
+        start, early = path.pose, replace(early, mu_start=4.0 * mu)
+        iterations += path.iterations
+    loads = np.concatenate([s + size * inward for size in _LAST])
+    exact = replace(options, attempts=1, mu_start=1e-3 * _LAST[0])
+    ends = solve_equilibrium(loads, equations, exact, path.pose.take(np.tile(np.arange(len(s)), 3)))
+    three = [ends.take(part) for part in np.arange(3 * len(s)).reshape(3, -1)]
     lattice, centres, normals = (
         np.einsum("k,k...->...", _WEIGHTS, np.stack([getattr(part.pose, name) for part in three]))
         for name in ("lattice", "centres", "normals")
     )
     guess = Pose(lattice, centres, normals / np.linalg.norm(normals, axis=2, keepdims=True))
     contacts, found = equations.contacts(guess, options.reach), three[-1]
-    loaded = ((found.lam > force) & found.contacts.present).sum(axis=2)
+    loaded = ((found.lam > 1e-3 * _LAST[-1]) & found.contacts.present).sum(axis=2)
     gaps = np.sort(np.where(contacts.present, contacts.gap, np.inf), axis=2)
     last = np.take_along_axis(gaps, np.maximum(loaded - 1, 0)[..., None], axis=2)[..., 0]
     widest = np.where((loaded > 0) & np.isfinite(last), np.abs(last), 0.0).max(axis=1)
@@ -103,7 +86,8 @@ def _extrapolate_limit(
     stays = np.abs(end.pose.lattice - guess.lattice).max(axis=1) < np.maximum(0.5 * change, 1e-9)
     known = np.all([part.status == "converged" for part in three], axis=0)
     status = np.where(known & (end.status == "converged") & stays, "converged", "no-limit").astype("<U16")
-    return replace(end, iterations=found.iterations, status=status, attempts=found.attempts)
+    iterations += np.sum([part.iterations for part in three], axis=0)
+    return replace(end, iterations=iterations, status=status, attempts=found.attempts)
 
 
 def touching(contacts: CellContacts, reach: float | Array) -> Flags:
@@ -169,7 +153,7 @@ def with_limits(
     `unique` (n,). A row without a limit keeps its equilibrium and gets the status "no-limit".
     """
     unique = strain_is_unique(equations, found, s)
-    slender = np.abs(s[:, 0] * s[:, 2] - s[:, 1] ** 2) < _SIZES[0] * (s[:, 0] + s[:, 2]) ** 2
+    slender = np.abs(s[:, 0] * s[:, 2] - s[:, 1] ** 2) < _ON_WAY[0] * (s[:, 0] + s[:, 2]) ** 2
     stalled = (found.status == "stalled") & slender
     rows = np.flatnonzero(~unique | stalled)
     if not len(rows):
