@@ -215,6 +215,10 @@ class Iteration:
         nearest, tight = open_.min(initial=1.0), safe < _SHORT
         if not tight.any() and nearest > _CLOSING[-1]:
             return False
+        if safe.min() < 0.1 and 0.0 < state.convex.max() < 1.0:
+            self._turns += 2
+            self.state = replace(state, convex=np.ones_like(state.convex))
+            return True
         if state.mu.max() < _FINE and not (self.is_moving or tight.any() or (state.local > last.local).any()):
             for part in _CLOSING:
                 rows = np.flatnonzero((open_ < part) | (state.extra > last.extra))
