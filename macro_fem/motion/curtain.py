@@ -121,7 +121,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
                 break  # else points without a half-space are inside a ball
         if contacts.passed(now.x, fem.positions(result.z)) > GRAZED:
             words = f"in the step to {now.t + h:.6g} s a body passes the mesh: use shorter steps"
-            raise Failed("pierced", words, too_long=True)
+            raise Failed("pierced", words)
         moved, touched = contacts.work(walls, result.wall_forces, now.x)
         end = replace(end_of(problem, fem, step, result, walls), moved=moved, touched=touched)
         return MotionFrame(
@@ -206,6 +206,6 @@ def _check(found: PathResult, t: float) -> None:
         return
     if found.stop in ("infeasible", "blocked"):
         words = "supports and obstacles leave the curtain no place: move them less far apart"
-        raise Failed("infeasible", f"at {t:.6g} s {words}", too_long=True)
+        raise Failed("infeasible", f"at {t:.6g} s {words}")
     why = f"an error of {found.evidence.error:.1e} ({found.stop})"
     raise Failed("stalled", f"the step to {t:.6g} s stopped at {why}: use another step")

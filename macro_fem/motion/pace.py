@@ -42,11 +42,11 @@ End = Literal["converged", "stopped", "stalled", "infeasible", "pierced"]
 
 
 class Failed(Exception):
-    """A step cannot be solved; if it is `too_long`, its halves may be."""
+    """A step cannot be solved; its halves may be."""
 
-    def __init__(self, status: End, message: str, *, too_long: bool = False) -> None:
+    def __init__(self, status: End, message: str) -> None:
         super().__init__(message)
-        self.status, self.too_long = status, too_long
+        self.status = status
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -247,8 +247,8 @@ class Mover(ABC, Generic[F, A]):
                 return replace(frame, moment=replace(frame.moment, t=t + h), iterations=0)
         try:
             return self.next_frame(frame, before, h)
-        except Failed as failed:
-            if not (failed.too_long and halvings):
+        except Failed:
+            if not halvings:
                 raise
         half = self._advanced(frame, before, 0.5 * h, halvings - 1)
         return self._advanced(half, frame.moment, 0.5 * h, halvings - 1)

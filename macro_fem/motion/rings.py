@@ -137,7 +137,7 @@ class MovingRings(Mover[RingFrame, RingScene]):
         if rings.status != "converged":
             words = f"the step to {now.t + h:.6g} s ended {rings.status} at a residual of {rings.kkt_residual:.1e}"
             status: End = "infeasible" if rings.way_left_mm > 0.0 else "stalled"
-            raise Failed(status, f"{words}: use another step", too_long=True)
+            raise Failed(status, f"{words}: use another step")
         self._check_balls(rings, now.t + h)
         way = [new.offset - old.offset for new, old in zip(asked.walls, frame.asked.walls, strict=True)]
         pushed = zip(rings.wall_force, asked.walls, way, strict=False)

@@ -140,10 +140,12 @@ def test_a_fast_ball_is_not_passed_by(step):
     assert found.frames[-1].moment.v[-1, 2] == pytest.approx(-2400.0, rel=0.15)  # steps of 0.001 s
 
 
-def test_an_obstacle_moved_far_in_one_step_takes_the_sheet_along():
+@pytest.mark.parametrize("kind", ["rigid", "elastic"])
+def test_an_obstacle_moved_far_in_one_step_takes_the_sheet_along(kind):
     bar = {"kind": "cylinder", "axis": [1.0, 0.0, 0.0], "point": [0.0, 200.0, -60.0], "radius": 45.0}
     moving = bar | {"move": [0.0, 0.0, 150.0], "history": [[0.0, 0.0], [0.1, 1.0]]}
-    found, told = moved({"support": TOP, "obstacle": moving, "motion": {"duration": 0.1, "step": 0.1}})
+    rings, motion = {"space": True, "kind": kind}, {"duration": 0.1, "step": 0.1}
+    found, told = moved({"support": TOP, "obstacle": moving, "motion": motion, "solver": rings})
     assert np.hypot(*(found.frames[-1].moment.x[:, 1:] - [200.0, 90.0]).T).min() > 44.9
     assert told["mean_z_mm"][-1] == pytest.approx(85.94, rel=0.02)  # steps of 0.002 s
 

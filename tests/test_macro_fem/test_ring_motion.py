@@ -125,7 +125,7 @@ def test_a_falling_sheet_lands_on_a_floor():
     assert told["lost_by_locking_N_mm"][-1] > 0.0
     ball = {"kind": "sphere", "radius": 5.0, "mass": 1.0, "at": [99.0, 2.0, 0.0]}
     ended = MovingRings(read_scene(CURTAIN | floor | {"body": ball})).solve()
-    assert (ended.status, ended.message[:28]) == ("stalled", "ball meets floor before 0.02")
+    assert (ended.status, ended.message[:29]) == ("stalled", "ball meets floor before 0.019")
 
 
 @pytest.mark.slow
