@@ -130,4 +130,4 @@ def test_the_graded_grid_is_close_where_strains_change_fast():
 def test_nearly_uniaxial_loads_of_thin_rings_take_further_attempts():
     found = solve_table(Cell(5.0, 0.1), ([30.0, 0.0, 20.0], [0.001, 0.005, 0.002]))
     assert found.converged.all()
-    assert (found.states.found.attempts > 2).any()
+    assert (found.states.found.attempts > 1).any()
