@@ -15,7 +15,7 @@ from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError, check_out_file, digits, require
 from rve.common.drawing import space
 from rve.common.drawing.page import check_page, write_page
-from rve.common.drawing.plane import Scale, new_axes, new_figure, one_per_square, save_figure
+from rve.common.drawing.plane import Scale, new_axes, new_figure, save_figure
 from rve.common.optional import Axes, Figure
 
 NO_GIF = "leave out --animation"
@@ -208,6 +208,19 @@ def _directions(solution: CurtainSolution, principal: tuple[Array, Array], scale
     tones = np.where(share > 0.55, "black", "white").tolist()  # black on bright colours, white on dark ones
     ax.add_collection(LineCollection(list(np.stack([centre - half, centre + half], axis=1)), colors=tones, lw=0.8))
     ax.plot([], [], color="black", lw=1.2, label="direction of the largest line load")
+
+
+def one_per_square(points: Array, chosen: np.ndarray, number: int) -> np.ndarray:
+    """Of the chosen points (n, 2), the one in the middle of each of about `number` squares around all points.
+
+    >>> one_per_square(np.array([[0.0, 0.0], [0.9, 0.9], [3.1, 3.0], [4.0, 4.0]]), np.array([0, 1, 2]), 4).tolist()
+    [1, 2]
+    """
+    low = points.min(axis=0)
+    side = np.sqrt(max(float(np.prod(np.ptp(points, axis=0))), 1e-300) / number)
+    place = (points[chosen] - low) / side
+    order = np.linalg.norm(place % 1.0 - 0.5, axis=1).argsort(kind="stable")
+    return np.sort(chosen[order[np.unique(np.floor(place[order]), axis=0, return_index=True)[1]]])
 
 
 def _loads(solution: CurtainSolution, ax: Axes, largest: Sequence[float]) -> None:

@@ -131,16 +131,3 @@ def rounded_up(value: float) -> float:
         return 1.0
     unit = 0.5 * 10.0 ** np.floor(np.log10(value))
     return float(f"{unit * np.ceil(value / unit * (1.0 - 1e-9)):.6g}")
-
-
-def one_per_square(points: Array, chosen: np.ndarray, number: int) -> np.ndarray:
-    """Of the chosen points (n, 2), the one in the middle of each of about `number` squares around all points.
-
-    >>> one_per_square(np.array([[0.0, 0.0], [0.9, 0.9], [3.1, 3.0], [4.0, 4.0]]), np.array([0, 1, 2]), 4).tolist()
-    [1, 2]
-    """
-    low = points.min(axis=0)
-    side = np.sqrt(max(float(np.prod(np.ptp(points, axis=0))), 1e-300) / number)
-    place = (points[chosen] - low) / side
-    order = np.linalg.norm(place % 1.0 - 0.5, axis=1).argsort(kind="stable")
-    return np.sort(chosen[order[np.unique(np.floor(place[order]), axis=0, return_index=True)[1]]])
