@@ -71,3 +71,11 @@ def test_the_wheel_alone_makes_table_law_and_curtain(dist, tmp_path):
     run("homogenize", "fit", "table.csv", "--out", "law.json")
     run("macro_fem", "run", scene, "--law", "law.json", "--out", "curtain", "--no-picture")
     assert (tmp_path / "curtain" / "summary.json").exists()
+
+
+def test_ci_runs_files_of_tests_that_exist():
+    words = re.findall(r"tests/\S+\.py", (ROOT / ".ci/run").read_text(encoding="utf-8"))
+    parts = [(*re.split("[{}]", word), "", "") for word in words]  # test_{one,two}.py
+    files = [start + name + end for start, names, end, *_ in parts for name in names.split(",")]
+    assert len(files) > 10
+    assert [file for file in files if not (ROOT / file).exists()] == []

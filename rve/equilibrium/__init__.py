@@ -1,1 +1,1 @@
-"""Locked states by the direct solver: equations, interior point, limits, symmetry, compliance."""
+"""Locked states by the direct solver: equations, interior point, limits, largest work, compliance."""
