@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from homogenize.directions import beyond, limits_of
+from homogenize.directions import beyond, hull_of, limits_of
 from homogenize.fitting.rows import LockedRows, rows_from_provenance, with_mirror
 from homogenize.io import load_law
 from homogenize.query.strain import locked_strain
@@ -101,8 +101,10 @@ def check_tensile(S: Array) -> float:
 
 
 def extrapolates(rows: LockedRows | None, S: Array) -> bool:
-    """Whether a table of these rows has no loads around S (3,) of unit trace; false without a table."""
+    """Whether a table of these rows has no loads around S (3,) of unit trace; false without a table. InputError for
+    rows of which no law is fitted."""
     if rows is None:
         return False
+    hull_of(rows.S, rows.is_mirrored)
     both = with_mirror(rows)
     return bool(beyond(limits_of(both.S, cauchy_of(both.S, both.E)), S[None])[0])

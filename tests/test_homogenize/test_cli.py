@@ -101,3 +101,14 @@ def test_no_load_is_not_tensile():
     for S in (np.zeros(3), np.array([-1.0, 0.0, -1.0]), np.array([1.0, 0.0, -1.0])):
         with pytest.raises(InputError, match="not tensile"):
             support_answer(DEFAULT_LAW, S)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_law_file_with_too_few_rows_is_refused(count, tmp_path):
+    record, path = json.loads(DEFAULT_LAW.read_text(encoding="utf-8")), tmp_path / "law.json"
+    rows = record["provenance"]["table_rows"]
+    for key in ("S", "E", "unique"):
+        rows[key] = rows[key][:count]
+    path.write_text(json.dumps(record), encoding="utf-8")
+    for asked in (("support", path, "--S", "1,0,0"), ("strain", path, "--alpha", "10", "--beta", "40")):
+        refused(run(*asked), "the rows' loads")
