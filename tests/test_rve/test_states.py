@@ -12,10 +12,11 @@ from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import unlisted_gap
 from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.weave import FOUR_IN_ONE, WEAVES
+from rve.geometry.pose import tiled
+from rve.geometry.weave import FOUR_IN_ONE, WEAVES, supercell
 from rve.more_columns import with_rings
 from rve.solve import locked_states, solve_table
-from rve.strained.forces import largest_forces
+from rve.strained.forces import central_forces, largest_forces
 from rve.support_function import support
 from rve.table import read_table
 
@@ -75,6 +76,16 @@ def test_weaves_list_all_pairs_of_rings_that_touch(name, ratio):
 
 
 ANGLES = np.array([0.0, 0.0, 20.0, 45.0, 70.0]), np.array([45.0, 20.0, 30.0, 10.0, 35.0])
+
+
+@pytest.mark.parametrize(("weave", "ratio"), [("4-in-1", 10.0), ("6-in-1", 8.0)])
+def test_forces_that_are_shown_balance_every_ring_across_the_plane_too(weave, ratio):
+    cell = Cell(ratio, 1.0, weave=WEAVES[weave])
+    states = locked_states([20.0, 45.0, 35.0], [30.0, 60.0, 70.0], cell, DirectOptions())
+    space = supercell(cell.weave, 1, 1, "space")
+    equations, pose = Equations.of(space, cell.wire), tiled(states.pose, space)
+    system = equations.assemble(pose, states.found.contacts, central_forces(states), states.s)
+    assert np.abs(system.r).max() < 1e-9
 
 
 def test_forces_in_blocks_are_those_of_each_load(monkeypatch):
