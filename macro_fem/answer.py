@@ -10,7 +10,7 @@ from macro_fem.output.forces import support_rows
 from macro_fem.output.pictures import Pictures
 from macro_fem.scene.scene import Scene, load_scene
 from macro_fem.solvers.status import Status
-from rve.common import as_html, check_out_job, csv_text, job, require, write_text
+from rve.common import check_out_job, csv_text, job, require, write_text
 from rve.common.optional import Axes, DataFrame
 
 RECORD = "summary.json"
@@ -104,6 +104,3 @@ class Solution(ABC):
         return f"Solution: {self.status}, mean height {self.summary['mean_height_mm']:.3f} mm"
 
     __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        return as_html(self, self.summary)

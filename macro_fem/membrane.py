@@ -27,7 +27,7 @@ from macro_fem.scene.tables import Combination
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.status import Status
 from rve.common import InputError, check_out_file, csv_text, tell, write_text
-from rve.common.meshes import write_mesh_file
+from rve.common.files import write_mesh_file
 from rve.common.optional import Axes
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rve.common import Array
 from rve.common.drawing import space
 from rve.common.drawing.plane import Scale, new_axes, round_top
-from rve.common.meshes import write_mesh_file
+from rve.common.files import write_mesh_file
 from rve.common.optional import Axes, Plotter, PolyData
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
@@ -28,9 +28,7 @@ LEAST = 3e-3
 """The scale of contact forces begins at this part of its top end."""
 MOST_FINE, MOST_TUBES, MOST_POINTS = 200, 1000, 300_000
 """Of a view these numbers of rings are fine tori, and coarse ones; more are lines with this many points together."""
-CLOSE = 8.0
-"""Radius of the close-up, in r1."""
-NO_FORCE, BLACK = "#808890", "#111111"
+NO_FORCE = "#808890"
 SHADOW_POINTS = 720
 """Points on every centre circle, of which the shadow is made; four times as many make it 1e-5 of itself larger."""
 
@@ -149,30 +147,6 @@ class DrawnRings:
             places = np.concatenate([one.centre for one in series])
             box = np.stack([places.min(axis=0) - self.r1, places.max(axis=0) + self.r1])
         space.look(plotter, space.THREE_QUARTERS, box=box)
-        return plotter
-
-    def draw_close_up(self, at: int, sheet_normal: Array) -> Plotter:
-        """A plotter with two panels: all rings, and those around ring number `at` from near, by their forces.
-
-        sheet_normal (3,): of the sheet at that ring.
-        """
-        centre, half, plotter = self.centre, CLOSE * self.r1, space.new_plotter(2)
-        plotter.subplot(0, 0)
-        self.draw(plotter)
-        window = replace(self, centre=centre[at][None], normal=sheet_normal[None], r1=half)
-        circle = space.lines(window.closed_circles(4 * ALONG))
-        space.add(plotter, "close-up at the largest line load", circle, BLACK, line_width=6)
-        space.add_length(plotter, space.below(centre), float(np.linalg.norm(np.ptp(centre, axis=0))))
-        is_plane = np.abs(centre[:, 2]).max() <= 1e-9 * np.abs(centre).max()
-        space.look(plotter, (0.0, 0.0, -1.0) if is_plane else space.THREE_QUARTERS)
-        plotter.subplot(0, 1)
-        near = np.linalg.norm(centre - centre[at], axis=1) < 1.3 * half
-        force = None if self.force is None else self.force[near]
-        replace(self, centre=centre[near], normal=self.normal[near], force=force).draw(plotter, (self,))
-        front = sheet_normal if sheet_normal[2] >= 0.0 else -sheet_normal
-        up = np.array([0.0, 1.0, 0.0] if abs(front[1]) < 0.9 else [0.0, 0.0, -1.0])
-        from_below = 2.2 * up - 0.6 * np.cross(up, front) - 4.2 * front  # and from the side: one sees how the rings lie
-        space.look(plotter, from_below, up)
         return plotter
 
 

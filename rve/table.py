@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rve.common import Array, InputError, Rows, atomic_path, check_belongs, checksum, json_text, require, sidecar_path
 from rve.common.files import TABLE_FORMAT, AnyPath, Inputs, check_out_file
 from rve.common.rings import check_rings
-from rve.common.texts import as_html, csv_text, number_column, read_columns, read_json_object
+from rve.common.texts import csv_text, number_column, read_columns, read_json_object
 from rve.geometry.weave import WEAVES
 
 if TYPE_CHECKING:
@@ -126,12 +126,6 @@ class StrainTable:
         return f"StrainTable: {int(self.converged.sum())} of {len(self)} rows converged{rings}"
 
     __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        """What a notebook shows: the summary line and the first rows."""
-        rows = np.column_stack([self.alpha_deg, self.beta_deg, self.E, self.S])[:5]
-        lines = [", ".join(COLUMNS[:8]), *(", ".join(f"{x:.6g}" for x in row) for row in rows)]
-        return as_html(self, lines=lines)
 
 
 def check_out_table(path: AnyPath, option: str = "--out", inputs: Inputs = ()) -> None:

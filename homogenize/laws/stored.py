@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Self
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.report import ErrorReport
 from homogenize.strength import Strength
-from rve.common import as_html, json_text, read_typed, write_text
+from rve.common import json_text, read_typed, write_text
 from rve.common.optional import Axes
 
 SCHEMA = 1
@@ -85,10 +85,6 @@ class StoredLaw(MembraneLaw):
         return f"{type(self).__name__}: {kind}{rings}"
 
     __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        report = self.report
-        return as_html(self, lines=() if report is None else report.text().splitlines())
 
 
 def law_record(law: StoredLaw) -> dict[str, Any]:

@@ -33,7 +33,7 @@ from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, NotConverged, digits
 from rve.common.drawing.plane import save_figure
 from rve.common.drawing.space import THREE_QUARTERS
-from rve.common.meshes import write_mesh_file
+from rve.common.files import write_mesh_file
 from rve.common.optional import Figure, Plotter
 
 REST = 10.0

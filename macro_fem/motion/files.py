@@ -18,14 +18,13 @@ from macro_fem.motion.pace import COLUMNS, Frame, Mover, Run
 from macro_fem.motion.rings import MovingRings
 from macro_fem.motion.step import Account, Moment
 from macro_fem.output.files import collection
+from macro_fem.output.images import save_animation
+from macro_fem.output.page import write_moments
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.scene.scene import Scene
 from rve.common import Array, InputError, check_belongs, csv_text, read_json_object, tell
-from rve.common.drawing.page import write_moments
-from rve.common.drawing.space import save_animation
-from rve.common.files import atomic_path, job, versions, write_text
-from rve.common.meshes import write_mesh_file
+from rve.common.files import atomic_path, job, versions, write_mesh_file, write_text
 
 KEPT = "motion.npz"
 MOST_SHOWN, PANELS, IMAGES = 200, 4, 48

@@ -11,11 +11,11 @@ import numpy as np
 
 from macro_fem.motion.stage import let_go, scene_at
 from macro_fem.motion.step import Account, Moment, kinetic_energy, predicted
+from macro_fem.output.images import compose
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Timed
 from rve.common import Array, tell
-from rve.common.drawing.space import compose
 from rve.common.optional import Figure, Plotter
 
 COLUMNS = (

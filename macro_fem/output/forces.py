@@ -15,7 +15,6 @@ from macro_fem.scene.sites import point_node
 from macro_fem.scene.tables import PatchLoad, PointLoad, Wind, in_3d
 from macro_fem.solution import CurtainSolution
 from rve.common import Array
-from rve.common.drawing.space import halved
 
 TOUCHES = 1e-6
 """A push below this part of the loads does not count as contact of its node."""
@@ -217,3 +216,16 @@ FORCES = (
     ("wind", "#3a86ff", winds, -1),
 )
 """Names, colours, and places with forces of the arrows, which begin there, or end there where the last number is -1."""
+
+
+def halved(x: Array, nodes: np.ndarray, most: int) -> list[np.ndarray]:
+    """The nodes, of places x (n, 3), in at most `most` groups: halved along the longer extent again and again.
+
+    >>> [part.tolist() for part in halved(np.array([[3.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0]]), np.arange(3), 2)]
+    [[1], [2, 0]]
+    """
+    if most < 2 or len(nodes) < 2:
+        return [nodes] if len(nodes) else []
+    order = nodes[np.argsort(x[nodes, np.ptp(x[nodes], axis=0).argmax()], kind="stable")]
+    first, half = most // 2, len(order) // 2
+    return [*halved(x, order[:half], first), *halved(x, order[half:], most - first)]

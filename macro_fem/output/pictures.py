@@ -10,11 +10,12 @@ import numpy as np
 from macro_fem.fem.cells import mean_at_corners
 from macro_fem.output import space_view, strength
 from macro_fem.output.forces import FORCES
+from macro_fem.output.images import check_render, compose, save_animation
+from macro_fem.output.page import check_page, write_page
 from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError, check_out_file, digits, require
 from rve.common.drawing import space
-from rve.common.drawing.page import check_page, write_page
 from rve.common.drawing.plane import Scale, new_axes, new_figure, save_figure
 from rve.common.optional import Axes, Figure
 
@@ -46,7 +47,7 @@ class Pictures:
             if is_asked:
                 require("matplotlib", "plots", f"{self.stem}.{ending}", instead)
                 if in_space or (scene is not None and scene.in_space):
-                    space.check_render(f"{self.stem}.{ending}", instead)
+                    check_render(f"{self.stem}.{ending}", instead)
         if self.html:
             check_page(f"{self.stem}.html", "leave out --html")
         if self.animation and scene is not None and scene.load.steps < 2 and scene.motion is None:
@@ -73,7 +74,7 @@ def write_pictures(folder: Path, steps: Sequence[CurtainSolution], wanted: Pictu
         titles = [space_view.title(step).replace(" N, ", " N\n") for step in steps]
         shares = [f"{100.0 * step.problem.factor:.0f} % of live loads and moves, " for step in steps]
         titled = [(share + words, step) for share, words, step in zip(shares, titles, steps, strict=True)]
-        space.save_animation(folder / f"{wanted.stem}.gif", figures(titled))
+        save_animation(folder / f"{wanted.stem}.gif", figures(titled))
 
 
 def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:
@@ -86,7 +87,7 @@ def figures(steps: space_view.Titled) -> Iterator[Figure]:
     solutions = [one for _, one in steps]
     if solutions[0].problem.scene.in_space:
         for words, plotter in space_view.drawn(steps):
-            yield space.compose(plotter, words)
+            yield compose(plotter, words)
         return
     scale, largest = space_view.line_load_scale(solutions), space_view.largest_of(space_view.forces_of(solutions))
     points = np.concatenate([*(one.x for one in solutions), solutions[0].problem.disc.nodes])

@@ -12,10 +12,10 @@ import numpy as np
 from msgspec import Meta
 
 from macro_fem.fem.cells import recovered, triangle_areas
+from macro_fem.scene.meshing.mesh_files import read_mesh_file
 from rve import Cell, cell_of_sides
 from rve.common import Array, Index, InputError, Rows, Typed, check_belongs, read_json_object, read_typed, types_of
 from rve.common.materials import STEEL, Material
-from rve.common.meshes import read_mesh_file
 from rve.common.rings import check_rings
 
 SIDES = ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm")

@@ -11,6 +11,7 @@ from homogenize import MembraneLaw
 from macro_fem.answer import Solution
 from macro_fem.output.files import rings as rings_of
 from macro_fem.output.forces import own_forces, support_forces
+from macro_fem.output.page import write_page
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.ring_scene import RingScene
 from macro_fem.solution import CurtainSolution
@@ -118,7 +119,9 @@ class EveryRingSolution(Solution):
         return self.found.plot(ax)
 
     def write_html(self, path: str | Path) -> None:
-        self.found.write_html(path)
+        rings = self.found
+        height = f"mean height {rings.mean_height:.1f} mm, lowest point {rings.centre[:, 1].min():.1f} mm"
+        write_page(path, rings.view, f"{len(rings.centre)} rings: {rings.status}\n{height}")
 
     def rings(self) -> FiniteSolution:
         return self.found

@@ -1,7 +1,7 @@
 """What `localize` returns: every ring of a curtain, with its files, its picture and its summary."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -10,16 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from macro_fem.fem.cells import padded
+from macro_fem.output.images import save_picture
+from macro_fem.output.page import write_page
 from macro_fem.output.pictures import Pictures
+from macro_fem.output.space_view import add_length, below
 from macro_fem.rings.curtain import Curtain, Sites
 from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestPoses
 from rve.common import Array, Index, csv_text, digits, job, versions, write_text
-from rve.common.drawing.page import write_page
-from rve.common.drawing.space import save_picture
-from rve.common.optional import Axes
+from rve.common.drawing.space import THREE_QUARTERS, add, lines, look, new_plotter
+from rve.common.optional import Axes, Plotter
 
 RECORD = "localize.json"
 """The file that stands for the job; it lists the others by their checksums."""
+CLOSE, BLACK = 8.0, "#111111"
+"""Radius of the close-up, in r1, and the colour of the circle around it."""
 
 
 @dataclass(frozen=True)
@@ -175,7 +179,7 @@ class RingField:
             if picture:
                 worst, reference = self.summary["worst_cell"], self.data["reference_mm"][:, :2]
                 at = int(np.argmin(((reference - worst["reference_mm"]) ** 2).sum(axis=1)))
-                plotter = self.drawn.draw_close_up(at, np.array(worst["normal"]))
+                plotter = self.draw_close_up(at, np.array(worst["normal"]))
                 save_picture(staged / "rings.png", plotter, self._title)
         return self.summary
 
@@ -188,6 +192,29 @@ class RingField:
         """Write the rings as one HTML file that turns in a browser without a network, coloured by contact force, tori
         where there are few of them, else their centre lines; InputError without plotly."""
         write_page(path, self.drawn.draw, self._title)
+
+    def draw_close_up(self, at: int, sheet_normal: Array) -> Plotter:
+        """A plotter with two panels: all rings, and those around ring number `at` from near, by their forces.
+
+        sheet_normal (3,): of the sheet at that ring.
+        """
+        rings, centre, half, plotter = self.drawn, self.centre_mm, CLOSE * self.cell.r1, new_plotter(2)
+        plotter.subplot(0, 0)
+        rings.draw(plotter)
+        window = replace(rings, centre=centre[at][None], normal=sheet_normal[None], r1=half)
+        add(plotter, "close-up at the largest line load", lines(window.closed_circles(96)), BLACK, line_width=6)
+        add_length(plotter, below(centre), float(np.linalg.norm(np.ptp(centre, axis=0))))
+        is_plane = np.abs(centre[:, 2]).max() <= 1e-9 * np.abs(centre).max()
+        look(plotter, (0.0, 0.0, -1.0) if is_plane else THREE_QUARTERS)
+        plotter.subplot(0, 1)
+        near = np.linalg.norm(centre - centre[at], axis=1) < 1.3 * half
+        force = self.contact_force_N[near]
+        replace(rings, centre=centre[near], normal=self.normal[near], force=force).draw(plotter, (rings,))
+        front = sheet_normal if sheet_normal[2] >= 0.0 else -sheet_normal
+        up = np.array([0.0, 1.0, 0.0] if abs(front[1]) < 0.9 else [0.0, 0.0, -1.0])
+        from_below = 2.2 * up - 0.6 * np.cross(up, front) - 4.2 * front  # and from the side: one sees how the rings lie
+        look(plotter, from_below, up)
+        return plotter
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Centre lines of all rings seen from the front, coloured by contact force, on `ax` or axes of their own."""

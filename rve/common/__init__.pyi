@@ -24,7 +24,6 @@ from .records import Array as Array
 from .records import Flags as Flags
 from .records import Index as Index
 from .records import Rows as Rows
-from .texts import as_html as as_html
 from .texts import csv_text as csv_text
 from .texts import digits as digits
 from .texts import number_column as number_column

@@ -79,6 +79,14 @@ def write_text(path: AnyPath, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def write_mesh_file(path: AnyPath, mesh: Any) -> None:
+    """Write a `meshio.Mesh` as VTU, atomically."""
+    import meshio
+
+    with atomic_path(path) as temporary:
+        meshio.vtu.write(temporary, mesh)
+
+
 def json_text(record: Mapping[str, Any], indent: int = 2) -> str:
     """A record as JSON with a line end: arrays as lists, null for numbers that are not finite.
 

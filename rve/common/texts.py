@@ -1,4 +1,4 @@
-"""JSON, TOML and CSV that are read, CSV as text, and HTML for notebooks.
+"""JSON, TOML and CSV that are read, and CSV as text.
 
 A file that cannot be read is one sentence; what is wrong in a CSV file is told by line and column.
 """
@@ -10,11 +10,10 @@ import io
 import json
 import os
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from hashlib import sha256
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -163,19 +162,3 @@ def csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([columns, *rows])
     return text.getvalue()
-
-
-def as_html(title: object, values: Mapping[str, Any] | None = None, lines: Iterable[str] = ()) -> str:
-    """A paragraph with the title, a list of lines, and a table of those values that are single numbers or words.
-
-    >>> as_html("Ring of 5 < 6 mm", {"r1_mm": 5.0, "path": [1, 2]})
-    '<p>Ring of 5 &lt; 6 mm</p><table><tr><th>r1_mm</th><td>5</td></tr></table>'
-    """
-    items = "".join(f"<li>{escape(line)}</li>" for line in lines)
-    rows = ""
-    for key, one in (values or {}).items():
-        if isinstance(one, str | int | float):
-            text = f"{one:.6g}" if isinstance(one, float) else str(one)
-            rows += f"<tr><th>{escape(key)}</th><td>{escape(text)}</td></tr>"
-    html = f"<p>{escape(str(title))}</p>" + (f"<ul>{items}</ul>" if items else "")
-    return html + (f"<table>{rows}</table>" if rows else "")

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common import Array, digits
-from rve.common.drawing.page import write_page
 from rve.common.optional import Axes, Plotter
 from rve.drawn import DrawnRings
 from rve.finite.equations import gradients, spread
@@ -161,11 +160,6 @@ class FiniteSolution:
         """The rings (k,) that supports hold with a force worth drawing."""
         force = np.linalg.norm(np.nan_to_num(self.reaction), axis=1)
         return np.flatnonzero(force > _SEEN * force.max(initial=0.0))
-
-    def write_html(self, path: str | Path) -> None:
-        """Write the rings as one HTML file that turns in a browser without a network; InputError without plotly."""
-        height = f"mean height {self.mean_height:.1f} mm, lowest point {self.centre[:, 1].min():.1f} mm"
-        write_page(path, self.view, f"{len(self.centre)} rings: {self.status}\n{height}")
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Every ring in the plane x, y, coloured by its largest contact force, on `ax` or axes of their own."""

@@ -2,8 +2,8 @@
 
 import pytest
 
+from macro_fem.scene.meshing.mesh_files import read_mesh_file
 from rve.common.errors import InputError
-from rve.common.meshes import read_mesh_file
 from tests.squares import MSH, mesh_of, write_square
 
 

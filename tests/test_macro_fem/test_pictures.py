@@ -5,9 +5,9 @@ import pytest
 
 import macro_fem
 from macro_fem.output.forces import pulls, winds
+from macro_fem.output.images import parts
 from macro_fem.output.pictures import STATES, panels, side_by_side
 from macro_fem.output.space_view import drawn
-from rve.common.drawing.space import parts
 from rve.common.errors import InputError
 from tests.films import film_of
 from tests.test_macro_fem.sheets import sheet

@@ -15,10 +15,10 @@ from macro_fem.motion.pace import COLUMNS
 from macro_fem.motion.rings import MovingRings
 from macro_fem.motion.stage import TONNE
 from macro_fem.motion.step import Moment
+from macro_fem.output.images import parts
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.scene.scene import read_scene
 from rve import slack_rings
-from rve.common.drawing.space import parts
 from rve.common.errors import InputError
 from tests.films import film_of
 

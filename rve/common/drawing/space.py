@@ -6,50 +6,24 @@ Coordinates are mm and the second axis points up. The name of an actor is its te
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable
-from ctypes import CDLL
-from ctypes.util import find_library
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rve.common.drawing.plane import OVER, Scale, rounded_up
-from rve.common.errors import InputError, require
-from rve.common.files import atomic_path
-from rve.common.optional import Figure, Plotter, PolyData
-from rve.common.progress import tell
+from rve.common.drawing.plane import OVER, Scale
+from rve.common.errors import require
+from rve.common.optional import Plotter, PolyData
 from rve.common.records import Array
 
 PANEL = (1400, 1240)
 """Pixels of a panel before matplotlib makes it smaller, which smooths edges."""
 FRONT, THREE_QUARTERS = (0.0, -0.12, -1.0), (-0.75, -0.45, -1.0)
-FRAME_MS, LAST_MS = 120, 1500
-"""How long a frame of an animation is shown, and its last one."""
 MARGIN = 1.04
 BODY, BODY_OPACITY = "#c9b18f", 0.75
 """Colour of bodies that a mesh meets, and how much they hide."""
-MEASURE = "#8d96a1"
-"""Colour of what stands or lies beside for the scale."""
 MATT: dict[str, Any] = {"ambient": 0.4, "diffuse": 0.7, "specular": 0.1, "smooth_shading": True}
 FLAT: dict[str, Any] = {"lighting": False, "ambient": 0.0, "diffuse": 1.0, "specular": 0.0}
-
-
-def check_render(purpose: str, instead: str = "ask for --no-picture") -> None:
-    """InputError if pyvista is missing, or the system has no OpenGL that draws without a screen.
-
-    VTK ends the interpreter when the library of the last kind of window that it tries is missing.
-    """
-    require("pyvista", "three-d", purpose, instead)
-    try:
-        window: Any = new_plotter().render_window
-        if window.GetClassName() == "vtkOSOpenGLRenderWindow":
-            CDLL(find_library("OSMesa") or "libOSMesa.so")
-    except (ImportError, OSError, RuntimeError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"{purpose} needs OpenGL ({reason}): install libosmesa6, or {instead}") from error
 
 
 def new_plotter(panels: int = 1) -> Plotter:
@@ -123,32 +97,6 @@ def arrows(tails: Array, vectors: Array, least: float = 0.0) -> PolyData:
     return ends.glyph(geom=shape, orient="along", scale="length")
 
 
-def below(points: Array) -> Array:
-    """A place a little below points (n, 3), at their left and in front of them, so that they do not hide it."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    return np.array([low[0], low[1] - 0.06 * np.linalg.norm(high - low), high[2]])
-
-
-def add_length(plotter: Plotter, start: Array, size: float) -> None:
-    """Add a line of a round length along x from `start` (3,), beside what has this size in mm."""
-    length = rounded_up(0.12 * size)
-    ends = start + np.array([[0.0, 0.0, 0.0], [length, 0.0, 0.0]])
-    add(plotter, f"length of {length:g} mm", lines(ends[None]), MEASURE, line_width=9)
-
-
-def halved(x: Array, nodes: np.ndarray, most: int) -> list[np.ndarray]:
-    """The nodes, of places x (n, 3), in at most `most` groups: halved along the longer extent again and again.
-
-    >>> [part.tolist() for part in halved(np.array([[3.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0]]), np.arange(3), 2)]
-    [[1], [2, 0]]
-    """
-    if most < 2 or len(nodes) < 2:
-        return [nodes] if len(nodes) else []
-    order = nodes[np.argsort(x[nodes, np.ptp(x[nodes], axis=0).argmax()], kind="stable")]
-    first, half = most // 2, len(order) // 2
-    return [*halved(x, order[:half], first), *halved(x, order[half:], most - first)]
-
-
 def look(plotter: Plotter, direction: Any, up: Any = (0.0, 1.0, 0.0), box: Array | None = None) -> None:
     """Aim the camera of the active panel along `direction` so that the box (2, 3), by default all, fills the panel."""
     box = np.reshape(plotter.renderer.bounds, (3, 2)).T if box is None else box
@@ -166,65 +114,3 @@ def look(plotter: Plotter, direction: Any, up: Any = (0.0, 1.0, 0.0), box: Array
     camera.parallel_scale = MARGIN * max(half[1], half[0] * PANEL[1] / PANEL[0], 1e-9)
     plotter.renderer.camera_set = True
     plotter.renderer.reset_camera_clipping_range()
-
-
-def parts(plotter: Plotter, panel: int = 0) -> dict[str, tuple[PolyData, Any, Scale | None]]:
-    """Mesh, actor and scale of colours of each part of a panel by its name."""
-    found = plotter.renderers[panel].actors.items()
-    return {name: (one.mapper.dataset, one, getattr(one, "colour_scale", None)) for name, one in found}
-
-
-def compose(plotter: Plotter, title: str) -> Figure:
-    """The panels of a plotter beneath a title, above a bar of colours and a legend, as a matplotlib figure."""
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-
-    panels = len(plotter.renderers)
-    figure = Figure(figsize=(6.8 * panels, 7.6), dpi=130)
-    figure.set_layout_engine("constrained", h_pad=0.1)
-    ax = figure.subplots()
-    plotter.render()  # a screenshot alone shows what was last rendered
-    ax.imshow(np.asarray(plotter.screenshot(return_img=True)), interpolation="antialiased")
-    ax.set_axis_off()
-    figure.suptitle(title, fontsize=15 if panels > 1 else 12, wrap=True)
-    shown = {name: part for panel in range(panels) for name, part in parts(plotter, panel).items()}
-    scales = {scale for *_, scale in shown.values() if scale is not None}
-    for scale in scales:
-        scale.add_bar(ax, location="bottom", shrink=0.5 if panels > 1 else 0.8, aspect=40, pad=0.01)
-    plain = {name: one for name, (*one, scale) in shown.items() if scale is None and not name.startswith("_")}
-    marks = [
-        Line2D([], [], color=one.prop.color.float_rgb, lw=3 if mesh.n_lines else 9, solid_capstyle="butt", label=name)
-        for name, (mesh, one) in plain.items()
-    ]
-    if marks:
-        columns = 4 if panels > 1 else 2
-        figure.legend(handles=marks, loc="outside lower center", ncols=columns, frameon=False, fontsize=11)
-    return figure
-
-
-def save_picture(path: str | os.PathLike[str], plotter: Plotter, title: str) -> None:
-    """Write the composed picture of a plotter as PNG, atomically."""
-    tell(f"drawing {Path(path).name}")
-    figure = compose(plotter, title)
-    plotter.close()
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, format="png")
-
-
-def save_animation(path: str | os.PathLike[str], figures: Iterable[Figure]) -> None:
-    """Write figures of one size as an animation (GIF) that repeats, atomically."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from PIL import Image
-
-    tell(f"drawing {Path(path).name}")
-    frames = []
-    for figure in figures:
-        figure.set_dpi(100)
-        canvas = FigureCanvasAgg(figure)
-        canvas.draw()
-        frames.append(np.asarray(canvas.buffer_rgba())[..., :3])
-    palette = Image.fromarray(np.concatenate([frame[::3, ::3] for frame in frames])).quantize(256, kmeans=2)
-    first, *rest = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
-    times = [FRAME_MS] * len(rest) + [LAST_MS]
-    with atomic_path(path) as temporary:
-        first.save(temporary, "GIF", save_all=True, append_images=rest, duration=times, loop=0)

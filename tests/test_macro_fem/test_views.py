@@ -1,6 +1,7 @@
 """Pictures in space: scales of colours, solids, cameras, pictures and pages."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -8,10 +9,10 @@ import sys
 import numpy as np
 import pytest
 
-from rve.common.drawing import space
-from rve.common.drawing.page import write_page
+from macro_fem.output.images import save_picture
+from macro_fem.output.page import write_page
 from rve.common.drawing.plane import Scale
-from rve.common.drawing.space import FRONT, THREE_QUARTERS, add, arrows, lines, look, new_plotter, save_picture
+from rve.common.drawing.space import FRONT, THREE_QUARTERS, add, arrows, lines, look, new_plotter
 from rve.common.errors import InputError
 
 HEIGHT = Scale("height, mm", 0.0, 30.0, 40.0)
@@ -48,11 +49,11 @@ def test_a_picture_is_made_and_is_not_empty(tmp_path):
 
 def test_a_missing_library_of_opengl_is_told_in_one_sentence():
     """VTK tries X, EGL and OSMesa in turn, and would end the interpreter without the last one."""
-    code = "import rve.common.drawing.space as space; space.find_library = lambda name: 'libnothing.so'\n"
+    code = "import macro_fem.output.images as images; images.find_library = lambda name: 'libnothing.so'\n"
     code += "from rve.common.errors import InputError\n"
-    code += "try:\n    space.check_render('curtain.png')\nexcept InputError as error:\n    print(error)"
+    code += "try:\n    images.check_render('curtain.png')\nexcept InputError as error:\n    print(error)"
     hidden = {"VTK_DEFAULT_OPENGL_WINDOW": "vtkOSOpenGLRenderWindow"}
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=space.os.environ | hidden)
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ | hidden)
     assert run.returncode == 0
     assert run.stdout.startswith("curtain.png needs OpenGL (libnothing.so")
     assert run.stdout.strip().endswith("install libosmesa6, or ask for --no-picture")

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from macro_fem.output.images import parts
 from rve.common.drawing.plane import Scale
-from rve.common.drawing.space import parts
 from rve.common.errors import require
 from rve.common.files import AnyPath, write_text
 from rve.common.optional import Plotter
