@@ -116,17 +116,16 @@ def wind_summary(solution: CurtainSolution) -> dict[str, list[dict[str, float]]]
         if wind.speed is None:
             continue
         assert cell is not None  # see `macro_fem.scene.loads.nodal_forces`
-        alone, a = loads.ring_solidity(cell), vector_areas(problem, solution.F)
+        a = vector_areas(problem, solution.F)
         layers = layers_of(problem, replace(wind, follows=False), solution.x, a)  # on its way
         front = float(reference @ (1.0 / layers))
         line = {
             "speed_m_per_s": wind.speed,
-            "solidity": alone,
+            "solidity": loads.ring_solidity(cell),
             "drag_coefficient": float(loads.layered_drag(cell, np.ones(1))[0]),
             "pressure_N_per_m2": loads.wind_pressure(wind, cell) / loads.PER_MM2,
             "front_area_m2": front * loads.PER_MM2,
             "layers": float(reference.sum() / front),
-            "front_solidity": float((reference / layers) @ loads.layered_solidity(alone, layers) / front),
             "drag_N": float(reference @ (problem.factor * _drag(problem, wind, solution.x, a)) @ unit(wind.direction)),
         }
         lines.append(line)

@@ -79,7 +79,7 @@ class MembraneSolution(Solution):
                 message = f"combination {failed[0]['name']}: {failed[0]['message']}"
                 summary |= {"status": failed[0]["status"], "message": message}
         summary["order"] = order(self.loaded, summary)
-        summary["features"] = files.features(self.loaded, bounds=bool(self.levels), picture=False)
+        summary["features"] = files.features(self.loaded, bounds=bool(self.levels))
         if len(self.steps) > 1:
             summary["steps"] = [
                 {
@@ -96,9 +96,7 @@ class MembraneSolution(Solution):
 
     def _write(self, staged: Path, wanted: Pictures) -> dict[str, Any]:
         wanted.check(self.scene)
-        features = files.features(self.loaded, bounds=bool(self.levels), picture=wanted.picture)
-        summary = self.summary | {"features": features}
-        area = self.solution.problem.disc.cell_area
+        summary, area = self.summary, self.solution.problem.disc.cell_area
         error = {"error_N_mm_per_mm2": self.levels[-1].error / area} if self.levels else {}
         write_mesh_file(staged / "curtain.vtu", files.curtain_mesh(self.loaded, error))
         if len(self.steps) > 1:

@@ -127,8 +127,8 @@ def interval_summary(bounds: CurtainBounds) -> dict[str, Any]:
     }
 
 
-def features(solution: CurtainSolution, *, bounds: bool, picture: bool) -> list[dict[str, Any]]:
-    """Rows of feature, used and why; `bounds`, `picture`: whether the curtain was bounded, is drawn."""
+def features(solution: CurtainSolution, *, bounds: bool) -> list[dict[str, Any]]:
+    """Rows of feature, used and why; `bounds`: whether the curtain was bounded."""
     problem, settling = solution.problem, solution.settling
     scene = problem.scene
     ties = ["a bar keeps an edge straight"] * any(bar.straight for bar in scene.of(Bar))
@@ -145,7 +145,6 @@ def features(solution: CurtainSolution, *, bounds: bool, picture: bool) -> list[
         rows.append(("elastic-forces", *solution.second_step))
     asked = "[solver] bounds or adapt, or rings on demand" if scene.solver.is_bounded else "not asked for"
     rows.append(("bounds", bounds, f"{asked}: a second, equilibrated solution and an error map"))
-    rows.append(("picture", picture, "curtain.png" if picture else "--no-picture"))
     return [{"feature": name, "used": used, "why": why} for name, used, why in rows]
 
 

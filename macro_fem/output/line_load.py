@@ -15,24 +15,20 @@ from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import triangle_areas
-from macro_fem.output.forces import PointForce, point_forces
+from macro_fem.output.forces import PointForce
 from macro_fem.scene.loads import disk_areas
 from macro_fem.solution import CurtainSolution
-from rve.common import Array, Index, digits
+from rve.common import Array, Index
 
 WIDEST = 2.5
 """Averages reach no farther than this many radii of a disk of the same area, in corners of 60 degrees and more."""
 STEPS = np.linspace(0.0, 1.5, 7)
 """Centres of averages along the line of a force, in radii of the average at its point."""
-LOCAL = 1.25
-"""Line loads this many times their average over a cell change over less than a cell."""
 FINE = 0.25
 """Sides of mesh cells over that of the averaging area up to which an average at a held point counts as known: 5 to
 15 % below that of finer meshes (docs/measured/steel.md, cells of 3 mm). Smaller: flags more meshes as too coarse."""
 SAME = 1e-9
 """Part of the curtain's area by which an average of all of it may miss, as areas in disks are rounded."""
-NEAR = 2.0
-"""The largest line load belongs to a held or loaded point that is within this many sides of a cell."""
 
 
 class Extreme(NamedTuple):
@@ -56,30 +52,7 @@ def summary(solution: CurtainSolution) -> dict[str, Any]:
         "max_line_load_over_a_cell_N_per_mm": None if mean is None else mean.value,
         "max_line_load_over_a_cell_at_mm": None if mean is None else mean.at.tolist(),
         "line_load_averaged_over_mm2": area,
-        "line_load_warning": warning(solution, peak, mean, area),
     }
-
-
-def warning(solution: CurtainSolution, peak: Extreme, mean: Extreme | None, area: float | None) -> str | None:
-    """A sentence where the largest line load depends on the mesh, as it does at points that are held or loaded."""
-    mesh = solution.problem.mesh.mesh
-    away = np.linalg.norm(mesh.p[:, mesh.t].mean(axis=1).T - peak.at, axis=1)
-    side = float(np.sqrt(solution.problem.disc.cell_area[away.argmin()]))
-    points = [one.at for one in point_forces(solution) if one.rings]
-    is_near_one = any(np.linalg.norm(at - peak.at) < NEAR * side for at in points)
-    if not is_near_one and (mean is None or peak.value <= LOCAL * mean.value):
-        return None
-    text = (
-        f"the largest line load, at ({peak.at[0]:g}, {peak.at[1]:g}) mm, grows with every refinement of the mesh, as "
-        "it does at held and loaded points"
-    )
-    if area is None:
-        return f"{text}; the law has no cell to average it over"
-    text += ": judge the rings by max_line_load_over_a_cell_N_per_mm"
-    least = FINE * np.sqrt(area)
-    if side > least:
-        text += f", which needs mesh cells of {digits(least, 2)} mm there, less than the {digits(side)} mm of this mesh"
-    return text
 
 
 def largest(solution: CurtainSolution) -> Extreme:

@@ -155,15 +155,10 @@ def wind_pressure(wind: Wind, cell: CellInfo | None) -> float:
     return dynamic_pressure(wind) * float(layered_drag(cell, np.ones(1))[0])
 
 
-def layered_solidity(solidity: float, layers: Array) -> Array:
-    """Solidity (k,) of `layers` (k,), not necessarily whole, of one solidity behind each other."""
-    return np.asarray(1.0 - (1.0 - solidity) ** layers)
-
-
 def layered_drag(cell: CellInfo | None, layers: Array) -> Array:
     """C_D (k,) per area of a front of `layers` (k,) of the rings of a law."""
     assert cell is not None  # see `nodal_forces`
-    return drag_coefficient(layered_solidity(ring_solidity(cell), layers))
+    return drag_coefficient(1.0 - (1.0 - ring_solidity(cell)) ** layers)
 
 
 @lru_cache(maxsize=8)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -14,7 +14,7 @@ from macro_fem.scene.checks import check_scene
 from macro_fem.scene.meshing.mesh_files import read_outline
 from macro_fem.scene.moving import Ball, Motion
 from macro_fem.scene.obstacles import Obstacle, Start
-from macro_fem.scene.shapes import Mesh, MeshFile, Outline, Rectangle, Shape
+from macro_fem.scene.shapes import Mesh, MeshFile, Outline, Shape
 from macro_fem.scene.sites import Support
 from macro_fem.scene.tables import Combination, Item, LiveLoad, Load, Solver, Vector, in_3d, leaves_plane
 from rve.common import Array, InputError, Typed, read_toml, read_typed, refuse_unknown, shown
@@ -111,20 +111,6 @@ class Scene:
     def vector(self, v: Vector) -> Array:
         """A vector of two or three components as an array (d,)."""
         return np.array(in_3d(v)[: self.d])
-
-    @classmethod
-    def rectangle(cls, width: float, height: float, *, cells: int = 32, **curtain: Any) -> Scene:
-        """A rectangle of width by height mm under its own weight, not hung yet; more keys of [curtain] by name.
-
-        >>> Scene.rectangle(1000, 500).hung_by("hooks", pitch=250).items[0].pitch
-        250.0
-        """
-        return cls(Rectangle(width, height, **curtain), mesh=Mesh(cells=cells))
-
-    def hung_by(self, kind: str, **keys: Any) -> Scene:
-        """The scene with one more support of a kind of [[support]], its keys by name; InputError as for a file."""
-        more = read_records({"kind": kind, **keys}, Support.kinds, f"{self.source}: [support]")
-        return replace(self, items=(*self.items, *more))
 
 
 def load_scene(path: str | Path) -> Scene:

@@ -15,7 +15,7 @@ import numpy as np
 
 from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import Discretization
-from macro_fem.scene.meshing.edges import UPRIGHT, Line, paths
+from macro_fem.scene.meshing.edges import UPRIGHT, Line, facets_along, paths
 from macro_fem.scene.tables import NO_MOVE, Time, Timed
 from rve.common import Array, InputError
 
@@ -240,8 +240,7 @@ def placed_along(site: Site, nodes: np.ndarray, places: Array) -> tuple[np.ndarr
     """Nodes (n,) on a line of corners `nodes` (k,) at `places` (k, 3), and their places (n, 3), half way between."""
     mesh = site.mesh.mesh
     if site.disc.element == "P2":
-        facets = mesh.p2f[:, nodes[:-1]].multiply(mesh.p2f[:, nodes[1:]]).argmax(axis=0)
-        nodes = np.concatenate([nodes, mesh.p.shape[1] + np.ravel(facets)])
+        nodes = np.concatenate([nodes, mesh.p.shape[1] + facets_along(mesh, nodes)])
         places = np.concatenate([places, 0.5 * (places[1:] + places[:-1])])
     order = np.argsort(nodes)
     return nodes[order], places[order]

@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import shapely
 from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import cross, signed_areas
@@ -77,39 +78,25 @@ def boundary_loops(mesh: Any) -> list[Loop]:
 
     InputError where cells overlap, so that the boundary is not made of closed lines.
     """
-    rim = mesh.boundary_facets()
-    start, end = mesh.facets[:, rim].copy()
-    centre = mesh.p[:, mesh.t[:, mesh.f2t[0, rim]]].mean(axis=1)
-    right = cross((mesh.p[:, end] - mesh.p[:, start]).T, (centre - mesh.p[:, start]).T) < 0.0
-    start[right], end[right] = end[right], start[right].copy()
-    following = _following(mesh.p.T, start, end)
-    counts = np.bincount(following, minlength=len(rim))
-    if counts.max(initial=1) > 1:
-        x, y = mesh.p[:, start[counts.argmax()]]
+    rim, tree, loops = mesh.boundary_facets(), cKDTree(mesh.p.T), []
+    for region in shapely.get_parts(shapely.polygonize(shapely.linestrings(mesh.p.T[mesh.facets[:, rim].T]))):
+        for number, ring in enumerate(shapely.get_rings(region)):
+            nodes = tree.query(shapely.get_coordinates(ring)[:-1])[1]
+            is_clockwise, is_hole = signed_areas(mesh.p[:, nodes].T) < 0.0, number > 0
+            nodes = nodes if is_clockwise == is_hole else nodes[::-1]
+            facets = facets_along(mesh, np.append(nodes, nodes[0]))
+            if not shapely.contains_xy(region, *mesh.p[:, mesh.t[:, mesh.f2t[0, facets[0]]]].mean(axis=1)):
+                break  # a hole
+            loops.append(Loop(facets, nodes))
+    if len(lost := np.setdiff1d(rim, np.concatenate([loop.facets for loop in loops]))):
+        x, y = mesh.p[:, mesh.facets[0, lost[0]]]
         raise InputError(f"cells overlap at ({x:g}, {y:g}): the boundary there is no closed line")
-    left, loops = dict.fromkeys(range(len(rim))), []
-    while left:
-        loop = [next(iter(left))]
-        while (facet := int(following[loop[-1]])) != loop[0]:
-            loop.append(facet)
-        for facet in loop:
-            del left[facet]
-        loops.append(Loop(rim[loop], start[loop]))
     return loops
 
 
-def _following(points: Array, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The facet (k,) that follows each: of several at a node the first one clockwise from the way back."""
-    order = np.argsort(start, kind="stable")
-    low, high = np.searchsorted(start[order], end, "left"), np.searchsorted(start[order], end, "right")
-    following = order[np.minimum(low, len(order) - 1)]
-    for facet in np.flatnonzero(high - low > 1):
-        choices = order[low[facet] : high[facet]]
-        back = points[start[facet]] - points[end[facet]]
-        ahead = points[end[choices]] - points[end[facet]]
-        turn = np.arctan2(back[1], back[0]) - np.arctan2(ahead[:, 1], ahead[:, 0])
-        following[facet] = choices[np.argmin(np.mod(turn, 2.0 * np.pi))]
-    return np.asarray(following)
+def facets_along(mesh: Any, nodes: np.ndarray) -> np.ndarray:
+    """The facets (k - 1,) of a mesh between each of the nodes (k,) of a line and the next one."""
+    return np.ravel(mesh.p2f[:, nodes[:-1]].multiply(mesh.p2f[:, nodes[1:]]).argmax(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,26 +123,17 @@ class Line:
 
 def paths(pairs: np.ndarray, points: Array) -> list[Line]:
     """Lines of nodes, each from its left end, made of pairs (m, 2) of neighbours; closed ones repeat their first."""
-    beside: dict[int, list[int]] = {}
-    for a, b in pairs.tolist():
-        beside.setdefault(a, []).append(b)
-        beside.setdefault(b, []).append(a)
-
-    def by_place(node: int) -> tuple[float, float]:
-        return float(points[node, 0]), float(points[node, 1])
-
-    ends = sorted((node for node, others in beside.items() if len(others) == 1), key=by_place)
-    found = []
-    for first in (*ends, *sorted(beside, key=by_place)):
-        path = [first]
-        while beside[path[-1]]:
-            ahead = min(beside[path[-1]], key=by_place)
-            beside[path[-1]].remove(ahead)
-            beside[ahead].remove(path[-1])
-            path.append(ahead)
-        if len(path) > 1:
-            found.append(Line(points[path], np.array(path)))
-    return found
+    tree, found = cKDTree(points), []
+    for part in shapely.get_parts(shapely.line_merge(shapely.multilinestrings(points[pairs]))):
+        path = tree.query(shapely.get_coordinates(part))[1]
+        ends = [0, -1]
+        if path[0] == path[-1]:
+            path = np.roll(path[:-1], -np.lexsort(points[path[:-1]].T[::-1])[0])
+            path, ends = np.append(path, path[0]), [1, -2]
+        first, last = points[path[ends]].tolist()
+        path = path[::-1] if last < first else path
+        found.append(Line(points[path], path))
+    return sorted(found, key=lambda line: (line.is_closed, *line.points[0]))
 
 
 def _in_order(mesh: Any, loops: list[Loop], holes: list[Array]) -> list[Loop]:

@@ -201,7 +201,8 @@ def mesh_outline(
     """
     region = _checked_region(outline, holes)
     spacing = float(np.ptp(outline[:, 0])) / cells
-    border = [_subdivided(polygon, spacing) for polygon in (outline, *holes)]
+    rings = shapely.segmentize([shapely.LinearRing(one) for one in (outline, *holes)], spacing * (1.0 + 1e-9))
+    border = [shapely.get_coordinates(one)[:-1] for one in rings]  # corners and points no farther than `spacing` apart
     inner = _lattice(outline, spacing, aspect, angle)
     sides = region.boundary
     shapely.prepare([region, sides])
@@ -217,15 +218,6 @@ def mesh_outline(
     _check_border(triangles, [len(part) for part in border])
     used, triangles = np.unique(triangles, return_inverse=True)
     return points[used], triangles.reshape(-1, 3)
-
-
-def _subdivided(polygon: Array, spacing: float) -> Array:
-    """The polygon's corners and points between them at most `spacing` apart."""
-    parts = []
-    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        n = max(1, math.ceil(float(np.linalg.norm(b - a)) / spacing - 1e-9))
-        parts.append(a + (b - a) * (np.arange(n) / n)[:, None])
-    return np.concatenate(parts)
 
 
 def _lattice(outline: Array, spacing: float, aspect: float, angle: float) -> Array:
