@@ -221,9 +221,8 @@ def check_belongs(path: AnyPath, record: AnyPath, known: dict[str, Any], remedy:
 class Cache:
     """Answers in a folder, keyed by what they depend on: one file each, safe to share between processes.
 
-    A file holds the question, the answer, the checksums of the files that were read for it, and a checksum of all
-    three. One that is damaged, answers another question, or was made from files that have changed counts as missing.
-    The folder is made, InputError if it cannot be; None keeps nothing.
+    A file holds the question, the answer, and a checksum of both; one that is damaged counts as missing. The folder is
+    made, InputError if it cannot be; None keeps nothing.
     """
 
     folder: AnyPath | None = None
@@ -236,23 +235,20 @@ class Cache:
                 raise InputError(f"--cache = {self.folder}: cannot be made: {error.strerror}") from error
 
     def get(self, question: Record) -> dict[str, Any] | None:
-        """The answer to a question that JSON can hold; None if it is not there, or no longer holds."""
+        """The answer to a question that JSON can hold; None if it is not there."""
         if self.folder is None:
             return None
         try:
             found = json.loads(Path(self.folder, _file_name(question)).read_bytes())
-            answer, files = found["answer"], found["files"]
-            is_own = found["sha256"] == _digest({"question": question, "answer": answer, "files": files})
-            return answer if is_own and all(checksum(name) == one for name, one in files.items()) else None
+            return found["answer"] if found["sha256"] == _digest([question, found["answer"]]) else None
         except UNREADABLE:
             return None
 
-    def put(self, question: Record, answer: Record, files: Mapping[str, str] | None = None) -> None:
-        """Keep an answer and the checksums of the `files` it was made from; InputError if it cannot be written."""
+    def put(self, question: Record, answer: Record) -> None:
+        """Keep an answer; InputError if it cannot be written."""
         if self.folder is not None:
-            record = {"question": question, "answer": answer, "files": dict(files or {})}
-            text = json.dumps(record | {"sha256": _digest(record)}, indent=1)
-            write_text(Path(self.folder, _file_name(question)), text + "\n")
+            record = {"question": question, "answer": answer, "sha256": _digest([question, answer])}
+            write_text(Path(self.folder, _file_name(question)), json.dumps(record, indent=1) + "\n")
 
 
 NO_CACHE = Cache()

@@ -87,7 +87,8 @@ def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1, cluster: str 
             raise InputError(f"{name}: {count} items of the sweep are called so, and each needs files of its own")
     cache, ended = Cache(out / MARKS), dict[str, Ended]()
     for item in items:
-        if (found := cache.get(item.question)) is not None:
+        found = cache.get(item.question)
+        if found and all(Path(name).exists() and checksum(name) == one for name, one in found["files"].items()):
             ended[item.name] = Ended(found["code"], "")
     left = [item for item in items if item.name not in ended]
     tell(f"sweep, {len(ended)} of {len(items)} done")
@@ -104,7 +105,7 @@ def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1, cluster: str 
             if not how.message and not item.record.exists():  # written to another machine's disk
                 how = Ended(1, f"{item.record} is not there; workers must see its folder under the same name")
             if not how.message:
-                cache.put(item.question, {"code": how.code}, how.files)
+                cache.put(item.question, {"code": how.code, "files": how.files})
             ended[item.name] = how
             tell(f"sweep, {len(ended)} of {len(items)} done")
     return [ended[item.name] for item in items]
