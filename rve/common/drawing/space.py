@@ -1,4 +1,4 @@
-"""Pictures in space: plotters of pyvista without a screen, written as PNG and GIF beneath title, bar and legend.
+"""Pictures in space: plotters of pyvista without a screen, their parts and cameras.
 
 Coordinates are mm and the second axis points up. The name of an actor is its text in the legend; names that begin with
 "_" are not in it.
