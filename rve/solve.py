@@ -148,7 +148,7 @@ def largest_table(
     primitive = rows.E
     for larger in cell.stages:
         mesh = LoadedCell.of(larger, sides_mm, options)
-        states = replace(states, found=in_cell(states.found, states.s, mesh.cauchy, options.reach), cell=larger)
+        states = replace(states, found=in_cell(states.found, states.s, mesh.cauchy), cell=larger)
         rows = replace(rows, pose=tiled(rows.pose, larger.weave))
         states, rows, left = largest_states(states, rows, s, mesh)
     beyond = int((np.abs(rows.E - primitive).max(axis=1) > MOVED).sum())
@@ -172,7 +172,7 @@ def largest_states(
     beside = [(at[keep], share[keep], one.take(keep)) for at, share, one in states.beside for keep in [~changed[at]]]
     at, share, others = states_beside(rows, known, s, mesh)
     if len(at):
-        pushed = balanced(others.pose, unit_loads(others.S), mesh.dead, mesh.options.reach)
+        pushed = balanced(others.pose, unit_loads(others.S), mesh.dead)
         pushed, carried = _under_own_loads(pushed, others.S, mesh)
         free = np.zeros(len(at), dtype=bool)
         beside.append((at, share, LockedStates(pushed, carried, free, states.cell)))

@@ -70,13 +70,13 @@ def moved(term: str, given: tuple[Array, Array]) -> Row:
 
 def locked_by_motion(s: Array, equations: Equations, term: str) -> Equilibrium:
     """Locked states under the unit line loads s (n, 3) at the end of motions; iterations are time steps."""
-    paper, options = StewartTrinkleOptions(), DirectOptions()
+    paper = StewartTrinkleOptions()
     how = replace(paper, density=LIGHT * paper.density) if term == "damping" else paper
     rest = solve(s, equations, how)
     steps, at_rest = rest.steps, rest.status == "converged"
-    found = polish(rest.pose, equations, s, options, TOUCHING)
-    good = at_rest & (options.tolerance > found.R) & (found.contacts.min_gap > -1e-10) & found.contacts.links_intact
-    return replace(found, iterations=steps, status=np.where(good, "converged", "stalled"))
+    found = polish(rest.pose, equations, s, TOUCHING)
+    is_locked = (found.R < DirectOptions.tolerance) & (found.contacts.min_gap > -1e-10) & found.contacts.links_intact
+    return replace(found, iterations=steps, status=np.where(at_rest & is_locked, "converged", "stalled"))
 
 
 def support_across(ratio: float) -> Row:

@@ -11,7 +11,7 @@ from benchmarks.omissions.compare import LEFT_OUT, trial, trial_table, verdict
 from benchmarks.omissions.motion import TOLERANCE
 from benchmarks.problems import Array, loads
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
-from rve.equilibrium.system import Equations
+from rve.equilibrium.system import REACH, Equations
 from rve.geometry import contacts
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
@@ -65,8 +65,8 @@ def forced(name: str, cell: Cell, plain: tuple[Equilibrium, float], s: Array) ->
 
 def met_row(name: str, cell: Cell, found: Equilibrium) -> Row:
     """What the solver met: pairs in reach, distance of unlisted pairs."""
-    offset, reach = pair_geometry(found.pose, cell.weave)[0], DirectOptions().reach
-    near = contacts.can_touch(offset, 2.0 * cell.wire + reach).sum(axis=1)
+    offset = pair_geometry(found.pose, cell.weave)[0]
+    near = contacts.can_touch(offset, 2.0 * cell.wire + REACH).sum(axis=1)
     row = {"cell": name, "converged": (found.status == "converged").sum()}
     row |= {"listed pairs in reach": f"{near.min()} to {near.max()} of {len(cell.weave.pairs)}"}
     return row | {GAP: contacts.unlisted_gap(found.pose, cell.weave, cell.wire).min()}

@@ -100,7 +100,7 @@ def largest_rows(
         tell(f"{len(bad)} loads for which other states do more work, round {count + 1}")
         S = rows.S[bad]
         if is_larger:
-            own = balanced(rows.pose.take(bad), unit_loads(S), mesh.dead, mesh.options.reach)
+            own = balanced(rows.pose.take(bad), unit_loads(S), mesh.dead)
             best = climbed(Largest.of(mesh, S, own), states)
         else:
             best = largest(S, mesh, states)
@@ -144,7 +144,7 @@ def _best_mixtures(
 def _further_states(rows: RowStates, mesh: LoadedCell) -> KnownStates:
     """Locked states of a larger cell that do more work under the S of some row than its own, which was found before."""
     good = rows.take(np.isfinite(rows.E[:, 0]))
-    found = balanced(good.pose, unit_loads(good.S), mesh.dead, mesh.options.reach)
+    found = balanced(good.pose, unit_loads(good.S), mesh.dead)
     return states_beyond(found, good.S, mesh).with_images(mesh)
 
 

@@ -105,12 +105,12 @@ def _once(options: DirectOptions, **changed: Any) -> DirectOptions:
     return replace(options, attempts=1, power=1.0, mu_end=max(MU_END, options.mu_end), **changed)
 
 
-def open_gaps(pose: Pose, equations: Equations, margin: float, reach: float) -> Pose:
+def open_gaps(pose: Pose, equations: Equations, margin: float) -> Pose:
     """The poses with all gaps raised to about `margin` (in r1) by the shortest motions that do so to first order. A
     pose that cannot be opened is left as it is.
     """
     for _ in range(6):
-        contacts = equations.contacts(pose, reach)
+        contacts = equations.contacts(pose)
         tight = np.flatnonzero(contacts.min_gap < 0.5 * margin)
         if not len(tight):
             break
@@ -130,7 +130,7 @@ def restart(loads: Array, equations: Equations, start: Pose, margin: float, opti
     """Locked states under `loads` (n, 3) from the locked poses `start`, whose gaps are first opened to `margin`."""
     least, most = max(options.tolerance, TOLERANCE), min(90, options.max_iterations)
     near = _once(options, mu_start=margin, shrink=0.3, max_iterations=most, tolerance=least)
-    return solve_equilibrium(loads, equations, near, open_gaps(start, equations, margin, options.reach))
+    return solve_equilibrium(loads, equations, near, open_gaps(start, equations, margin))
 
 
 def restart_patiently(
@@ -142,12 +142,12 @@ def restart_patiently(
     left = np.flatnonzero(found.status != "converged")
     if len(left) and options.max_iterations:
         slower = replace(_patient(options), mu_start=MARGINS[1], max_iterations=200)
-        opened = open_gaps(start.take(left), equations, MARGINS[1], options.reach)
+        opened = open_gaps(start.take(left), equations, MARGINS[1])
         found = found.put(left, solve_equilibrium(loads[left], equations, slower, opened))
         left = left[found.status[left] != "converged"]
     if len(left):
         s = unit_loads(loads[left]) if equations.is_relative else loads[left]
-        near = polish(start.take(left), equations, s, options)
+        near = polish(start.take(left), equations, s)
         good = np.flatnonzero(near.status == "converged")
         found = found.put(left[good], near.take(good))
     return found
@@ -180,7 +180,7 @@ def random_poses(equations: Equations, count: int) -> Pose:
     for _ in range(WALK):
         step = stride * (0.4 * drift + 0.6 * rng.uniform(-1.0, 1.0, shape))
         there = equations.moved(pose, step)
-        contacts = equations.contacts(there, STRIDE)
+        contacts = equations.contacts(there)
         good = contacts.links_intact & (contacts.min_gap > START_GAP)
         good &= parallel_clearance(pose, there, equations.weave, equations.wire) > 0.0
         rows = np.flatnonzero(good)

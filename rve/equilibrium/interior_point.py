@@ -21,6 +21,8 @@ from rve.geometry.cell import Cell
 from rve.geometry.contacts import CellContacts
 from rve.geometry.pose import Pose, start_pose
 
+LARGEST_STEP = 0.15
+"""Largest change of a coordinate per iteration, in r1 or radians."""
 SLOW = (0.5, 0.7)
 """Factors on mu of the attempts after the first; 0.5 solves most loads that stall, 0.3 fewer, 0.7 some of the rest."""
 
@@ -32,8 +34,6 @@ class DirectOptions(Typed):
     tolerance: weighted residual R at which a case has converged; the default leaves two digits to the paper's 1e-9.
     mu_start, mu_end: first and final complementarity lam gap; loaded gaps end at mu_end / lam, about 1e-12 mm.
     shrink, power: each stage lowers mu to the lesser of shrink mu and mu^power; larger `shrink` is slower and safer.
-    reach: contacts with a larger gap are ignored; a step moves rings by less.
-    step: largest coordinate change per iteration (r1 or radians).
     max_iterations: per case and attempt; attempts after the first get four times as many.
     attempts: tries per case; those after the first lower mu slowly.
     patience: iterations without progress after which mu is lowered off the central path.
@@ -48,8 +48,6 @@ class DirectOptions(Typed):
     mu_end: Annotated[float, Meta(gt=0.0, le=1.0)] = 1e-13
     shrink: Annotated[float, Meta(gt=0.0, le=0.99)] = 0.1
     power: Annotated[float, Meta(ge=1.0, le=10.0)] = 1.5
-    reach: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.6
-    step: Annotated[float, Meta(gt=0.0, le=0.5)] = 0.15
     max_iterations: Annotated[int, Meta(ge=0, le=1_000_000)] = 150
     attempts: Annotated[int, Meta(ge=1, le=100)] = 3
     patience: Annotated[int, Meta(ge=1, le=1_000_000)] = 20
@@ -134,7 +132,7 @@ def iterate(state: PathState, equations: Equations, options: DirectOptions) -> P
     share = admitted_share((1.0 - np.minimum(0.01, mu[:, 0])) * gap, np.matmul(state.system.G, dq[..., None])[..., 0])
     dq *= np.minimum(share, state.radius / np.maximum(np.abs(dq).max(axis=1), 1e-300))[:, None]
     floor = np.minimum(0.01 * con.min_gap, 0.1 * state.mu)
-    pose, contacts = accept_step(state.pose, con, dq, floor, equations, options.reach, valley)
+    pose, contacts = accept_step(state.pose, con, dq, floor, equations, valley)
     dlam *= admitted_share(0.99 * lam, dlam)[:, None]
     lam = carry_forces(con, (lam + dlam).reshape(state.lam.shape), contacts, state.mu)
     centre = mu / np.where(contacts.present, np.maximum(contacts.gap, 1e-16), 1.0)
@@ -159,7 +157,7 @@ def update_path(state: PathState, off: Array, merit: Array, options: DirectOptio
         best=np.where(fresh, np.inf, np.where(improved, merit, state.best)),
         last=np.where(fresh, np.inf, merit),
         stall=np.where(fresh, 0, stall),
-        radius=np.clip(np.where(fresh, options.step, radius), 1e-7, options.step),
+        radius=np.clip(np.where(fresh, LARGEST_STEP, radius), 1e-7, LARGEST_STEP),
         iterations=state.iterations + 1,
     )
 
@@ -201,7 +199,7 @@ def solve_equilibrium(
     """
     s = unit_loads(s) if equations.is_relative else s
     first = start if start is not None else start_pose(equations.weave, len(s))
-    contacts = equations.contacts(first, options.reach)
+    contacts = equations.contacts(first)
     nan, iterations = np.full(len(s), np.nan), np.zeros(len(s), dtype=int)
     stalled = np.full(len(s), "stalled", dtype="<U16")
     tries = np.full(len(s), options.attempts)
@@ -215,10 +213,10 @@ def solve_equilibrium(
             shift = 0.03 * np.random.default_rng(attempt).uniform(-1.0, 1.0, (1, equations.modes.shape[1]))
             pose = equations.moved(pose, np.repeat(shift, len(left), axis=0))
         # On the central path as far as forces can be.
-        contacts, n = equations.contacts(pose, options.reach), len(left)
+        contacts, n = equations.contacts(pose), len(left)
         mu, inf = np.full(n, options.mu_start), np.full(n, np.inf)
         lam = np.where(contacts.present, mu[:, None, None] / np.maximum(contacts.gap, 1e-9), 0.0)
-        radius, stall = np.full(n, options.step), np.zeros(n, dtype=int)
+        radius, stall = np.full(n, LARGEST_STEP), np.zeros(n, dtype=int)
         system = equations.assemble(pose, contacts, lam, s[left])
         state = PathState(left, s[left], pose, contacts, lam, system, mu, inf, inf, stall, radius, inf, iterations)
         finished, rest = iterate_to_end(state, equations, tuned)

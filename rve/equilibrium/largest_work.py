@@ -192,9 +192,9 @@ def _better_states(best: Largest, states: KnownStates, tried: set[tuple[int, int
     return rows, source
 
 
-def in_cell(found: Equilibrium, s: Array, equations: Equations, reach: float) -> Equilibrium:
+def in_cell(found: Equilibrium, s: Array, equations: Equations) -> Equilibrium:
     """Locked states of the planar primitive cell under the loads s (n, 3), in the larger cell of `equations`."""
-    made = balanced(tiled(found.pose, equations.weave), s, equations, reach)
+    made = balanced(tiled(found.pose, equations.weave), s, equations)
     R = np.where(found.status == "converged", made.R, found.R)
     return replace(found, pose=made.pose, contacts=made.contacts, lam=made.lam, R=R)
 
@@ -219,7 +219,7 @@ def states_beyond(found: Equilibrium, S: Array, mesh: LoadedCell) -> KnownStates
 
 def largest_beyond(planar: Largest, known: KnownStates | None, mesh: LoadedCell) -> Largest:
     """The largest work in the larger cell `mesh` that is reached from the states of the primitive cell."""
-    found = in_cell(planar.found, unit_loads(planar.S), mesh.dead, mesh.options.reach)
+    found = in_cell(planar.found, unit_loads(planar.S), mesh.dead)
     best = replace(planar, mesh=mesh, found=found)
     states = best.states if known is None else best.states.join([known])
     ended = np.flatnonzero(np.isfinite(best.h))

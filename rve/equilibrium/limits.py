@@ -75,12 +75,12 @@ def limit_equilibrium(s: Array, equations: Equations, options: DirectOptions) ->
         for name in ("lattice", "centres", "normals")
     )
     guess = Pose(lattice, centres, normals / np.linalg.norm(normals, axis=2, keepdims=True))
-    contacts, found = equations.contacts(guess, options.reach), three[-1]
+    contacts, found = equations.contacts(guess), three[-1]
     loaded = ((found.lam > 1e-3 * _LAST[-1]) & found.contacts.present).sum(axis=2)
     gaps = np.sort(np.where(contacts.present, contacts.gap, np.inf), axis=2)
     last = np.take_along_axis(gaps, np.maximum(loaded - 1, 0)[..., None], axis=2)[..., 0]
     widest = np.where((loaded > 0) & np.isfinite(last), np.abs(last), 0.0).max(axis=1)
-    end = polish(polish(guess, equations, s, options, 1.5 * widest + 1e-6).pose, equations, s, options)
+    end = polish(polish(guess, equations, s, 1.5 * widest + 1e-6).pose, equations, s)
     # Newton's steps may drift along the free mode: then the guess was too far away.
     change = np.abs(found.pose.lattice - three[-2].pose.lattice).max(axis=1)
     stays = np.abs(end.pose.lattice - guess.lattice).max(axis=1) < np.maximum(0.5 * change, 1e-9)
@@ -116,22 +116,20 @@ def shortest(G: Array, h: Array) -> Array | None:
     return -r[:-1] / r[-1] if r[-1] < -1e-12 else None
 
 
-def balanced(pose: Pose, s: Array, equations: Equations, reach: float, near: float | Array = TOUCHING) -> Equilibrium:
-    """Locked poses as equilibria under the loads s (n, 3), with nonnegative forces of contacts with gaps below `near`
+def balanced(pose: Pose, s: Array, equations: Equations, reach: float | Array = TOUCHING) -> Equilibrium:
+    """Locked poses as equilibria under the loads s (n, 3), with nonnegative forces of contacts with gaps below `reach`
     that balance every ring in space."""
-    contacts, none = equations.contacts(pose, reach), np.zeros(len(s), dtype=int)
-    lam, system = contact_forces(pose, contacts, equations, s, near)
+    contacts, none = equations.contacts(pose), np.zeros(len(s), dtype=int)
+    lam, system = contact_forces(pose, contacts, equations, s, reach)
     status = np.full(len(s), "converged", dtype="<U16")
     return Equilibrium(pose, lam, contacts, system.weighted_residual, none, status, none)
 
 
-def polish(
-    pose: Pose, equations: Equations, s: Array, options: DirectOptions, reach: float | Array = 1e-5, steps: int = 4
-) -> Equilibrium:
+def polish(pose: Pose, equations: Equations, s: Array, reach: float | Array = 1e-5, steps: int = 4) -> Equilibrium:
     """Newton on r = 0 and gap = 0 of all contacts with gaps below `reach`, from poses near equilibria; least-norm
     steps, so that a free mode stays where it is. Status "stalled" where that is no equilibrium."""
     for _ in range(steps):
-        contacts = equations.contacts(pose, options.reach)
+        contacts = equations.contacts(pose)
         _, system = contact_forces(pose, contacts, equations, s, reach)
         dq = np.zeros(system.r.shape)
         for i, rows in enumerate(touching(contacts, reach).reshape(len(s), -1)):
@@ -141,7 +139,7 @@ def polish(
             b = -np.concatenate([system.r[i], contacts.gap[i].ravel()[rows]])
             dq[i] = np.linalg.lstsq(A, b, rcond=1e-9)[0][: len(dq[i])]
         pose = moved(pose, np.clip(dq, -1e-2, 1e-2))
-    end = balanced(pose, s, equations, options.reach, reach)
+    end = balanced(pose, s, equations, reach)
     ok = (end.R < 1e-9) & (end.contacts.min_gap > -1e-10) & end.contacts.links_intact
     return replace(end, status=np.where(ok, "converged", "stalled").astype("<U16"))
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from rve.common import Array, Flags, Index
 from rve.equilibrium.system import Equations, System
-from rve.geometry.contacts import CellContacts, gap_bound, parallel_clearance
+from rve.geometry.contacts import CellContacts, parallel_clearance
 from rve.geometry.pose import Pose
 
 LARGEST_CORRECTION = 0.1
@@ -108,11 +108,9 @@ class Valley:
         shift = np.where(lowest <= 0.0, 1.2 * np.abs(lowest) + 1e-10, 1e-14)
         return Valley(contacts, system.G, gap, ratio, K + shift[:, None, None] * np.eye(K.shape[1]), count)
 
-    def correct(
-        self, rows: Index, step: Array, pose: Pose, equations: Equations, reach: float
-    ) -> tuple[Pose, CellContacts]:
+    def correct(self, rows: Index, step: Array, pose: Pose, equations: Equations) -> tuple[Pose, CellContacts]:
         """Corrected poses and their contacts of these rows, whose uncorrected steps (k, m) led to `pose`."""
-        contacts, G = equations.contacts(pose, reach), self.G[rows]
+        contacts, G = equations.contacts(pose), self.G[rows]
         predicted = self.gap[rows] + np.matmul(G, step[..., None])[..., 0]
         for _ in range(self.count):
             distance = _distances(self.contacts.take(rows), contacts)
@@ -122,7 +120,7 @@ class Valley:
             push = np.matmul(G.transpose(0, 2, 1), (self.ratio[rows] * short)[..., None])[..., 0]
             back = np.clip(_solve(self.K[rows], push), -LARGEST_CORRECTION, LARGEST_CORRECTION)
             pose = equations.moved(pose, back)
-            contacts = equations.contacts(pose, reach)
+            contacts = equations.contacts(pose)
         return pose, contacts
 
 
@@ -134,35 +132,19 @@ def _distances(old: CellContacts, new: CellContacts) -> Array:
 
 
 def accept_step(
-    pose: Pose,
-    contacts: CellContacts,
-    dq: Array,
-    floor: Array,
-    equations: Equations,
-    reach: float,
-    valley: Valley | None,
+    pose: Pose, contacts: CellContacts, dq: Array, floor: Array, equations: Equations, valley: Valley | None
 ) -> tuple[Pose, CellContacts]:
     """The pose after the longest of the steps 1, 1/2, 1/4 ... of dq (n, m) that keeps gaps above `floor` (n,) and
     links intact, and its contacts. With a valley, steps are corrected."""
     first, before, bad = pose, contacts, np.arange(len(dq))
     length = np.ones(len(dq))
-    here, there = first, equations.moved(first, dq)
-    for _ in range(31 if valley is None else 0):  # a search would only confirm that these are too long
-        tight = np.flatnonzero(gap_bound(before, there, equations.weave, equations.wire) < floor)
-        if not len(tight):
-            break
-        length[tight] *= 0.5
-        some = first.take(tight)
-        there = there.put(tight, equations.moved(some, length[tight, None] * dq[tight]))
-    for tries in range(31):
-        step = length[bad, None] * dq[bad]
-        if tries:
-            here = first.take(bad)
-            there = equations.moved(here, step)
+    for _ in range(31):
+        here, step = first.take(bad), length[bad, None] * dq[bad]
+        there = equations.moved(here, step)
         if valley is None:
-            found = equations.contacts(there, reach)
+            found = equations.contacts(there)
         else:
-            there, found = valley.correct(bad, step, there, equations, reach)
+            there, found = valley.correct(bad, step, there, equations)
         good = found.links_intact & (found.min_gap >= floor[bad])
         # Shorter steps cannot carry a ring through a wire.
         long = np.flatnonzero(np.abs(step).max(axis=1) > (0.2 * equations.wire if valley is None else 0.0))

@@ -18,6 +18,8 @@ from rve.geometry.contacts import CellContacts, distance_gradient, distance_hess
 from rve.geometry.pose import Pose, moved, pair_maps, place_maps, reduction, turns_of
 from rve.geometry.weave import Weave
 
+REACH = 0.6
+"""Contacts with a larger gap, in r1, are ignored; a step moves rings by less."""
 _TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 
@@ -129,9 +131,9 @@ class Equations:
         free = np.eye(weave.coordinates) if modes is None else modes
         return Equations(weave, wire, pair_maps(weave), mass_matrix(weave, wire), free, load)
 
-    def contacts(self, pose: Pose, reach: float) -> CellContacts:
-        """Every contact of these poses whose gap is below `reach` (in r1)."""
-        return find_contacts(pose, self.weave, self.wire, reach)
+    def contacts(self, pose: Pose) -> CellContacts:
+        """Every contact of these poses whose gap is below `REACH`."""
+        return find_contacts(pose, self.weave, self.wire, REACH)
 
     def moved(self, pose: Pose, y: Array) -> Pose:
         """The pose after a step of the mode amplitudes y (n, k)."""

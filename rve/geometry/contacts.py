@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rve.common import Array, Flags, Rows
 from rve.geometry.pose import Pose, pair_geometry
-from rve.geometry.ring_pair import Minima, are_linked, cross, dot, foot_on_circle, local_minima, norm
+from rve.geometry.ring_pair import Minima, are_linked, cross, dot, local_minima, norm
 from rve.geometry.weave import Weave
 
 SLOTS = 2  # minima kept per pair of rings, the lowest two: linked rings have no more
@@ -76,17 +76,6 @@ def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float) -> CellCo
         slots(found.normal, 0.0),
         (are_linked(d, na, nb).reshape(n, p) == weave.linked).all(axis=1),
     )
-
-
-def gap_bound(contacts: CellContacts, pose: Pose, weave: Weave, wire: float) -> Array:
-    """Upper bound (n,) of the smallest gap of poses, from points near these contacts of poses nearby: no search."""
-    near = contacts.minima
-    d, na, nb = (x.reshape(-1, 3)[near.pair] for x in pair_geometry(pose, weave))
-    rho_a = foot_on_circle(d + foot_on_circle(near.rho_b, nb), na)
-    way = d + foot_on_circle(rho_a - d, nb) - rho_a
-    gap = np.full(contacts.present.shape, np.inf)
-    gap[contacts.present] = norm(way) - 2.0 * wire
-    return np.asarray(gap.reshape(len(gap), -1).min(axis=1))
 
 
 def can_touch(d: Array, limit: float) -> Flags:

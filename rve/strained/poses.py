@@ -25,7 +25,6 @@ from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.system import Equations, add_lattice_curvature
 from rve.geometry.cell import Cell, weave_sides
-from rve.geometry.contacts import find_contacts
 from rve.geometry.kinematics import lattice_strain
 from rve.geometry.pose import Pose, mirrored
 from rve.geometry.ring_pair import cross, dot, tangent_frame
@@ -151,7 +150,7 @@ def _settled(E: Array, cell: Cell, states: LockedArrangements) -> tuple[Pose, Ar
         start = found.pose
         if stage >= len(_LADDER) - 3:
             good |= found.status == "converged"
-    return found.pose, find_contacts(found.pose, cell.weave, cell.wire, DirectOptions.reach).min_gap, good
+    return found.pose, equations.contacts(found.pose).min_gap, good
 
 
 @dataclass(frozen=True)

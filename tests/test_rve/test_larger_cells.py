@@ -45,7 +45,7 @@ def test_gaps_and_residuals_in_space_have_exact_derivatives(name):
     equations = Equations.of(weave, 0.1, load=DeadLoad((2.2, 2.7)))
     rng = np.random.default_rng(0)
     pose = moved(start_pose(weave, 1), 0.02 * rng.uniform(-1.0, 1.0, (1, weave.coordinates)))
-    contacts, S = equations.contacts(pose, 0.3), np.array([[0.5, 0.1, 0.5]])
+    contacts, S = equations.contacts(pose), np.array([[0.5, 0.1, 0.5]])
     assert np.ptp(pose.centres[0, :, 2]) > 0.01
     lam = np.where(contacts.present, 0.1, 0.0)
     system = equations.assemble(pose, contacts, lam, S)
@@ -53,7 +53,7 @@ def test_gaps_and_residuals_in_space_have_exact_derivatives(name):
 
     def at(t):
         there = moved(pose, t * way)
-        found = equations.contacts(there, 0.3)
+        found = equations.contacts(there)
         np.testing.assert_array_equal(found.present, contacts.present)
         return found.gap[found.present]
 
@@ -68,11 +68,11 @@ def test_planar_states_are_states_of_the_larger_cell_balanced_in_space(planar):
     pose = tiled(planar.states.pose, mesh.weave)
     np.testing.assert_allclose(strain_of(pose, sides), planar.E, atol=1e-14)
     equations = Equations.of(mesh.weave, THIN.wire, load=DeadLoad(sides))
-    found = balanced(pose, unit_loads(planar.S), equations, 0.6)
+    found = balanced(pose, unit_loads(planar.S), equations)
     assert found.contacts.links_intact.all()
     assert np.abs(found.contacts.min_gap).max() < 1e-10
     assert found.R.max() < 1e-8  # along z as well
-    again = in_cell(replace(found, pose=planar.states.pose), unit_loads(planar.S), equations, 0.6)
+    again = in_cell(replace(found, pose=planar.states.pose), unit_loads(planar.S), equations)
     np.testing.assert_array_equal(again.pose.centres, pose.centres)
 
 
@@ -102,7 +102,7 @@ def test_states_give_way_out_of_the_plane_where_wire_is_thin(planar):
     """Not at the load whose planar state is the largest."""
     mesh = SPACE.stages[-1]
     equations = Equations.of(mesh.weave, THIN.wire, load=DeadLoad(weave_sides(mesh, (planar.b_x_mm, planar.b_y_mm))))
-    found = balanced(tiled(planar.states.pose, mesh.weave), unit_loads(planar.S), equations, 0.6)
+    found = balanced(tiled(planar.states.pose, mesh.weave), unit_loads(planar.S), equations)
     for _, stiffness, motions in loose_motions(equations, found, unit_loads(planar.S)):
         across = motions[3:12, stiffness < UNSTABLE].reshape(3, 3, -1)[:, 2]
         assert not across.size or np.abs(across).max() > 0.01

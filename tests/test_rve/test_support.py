@@ -242,8 +242,8 @@ def test_free_strains_are_flagged():
 def test_a_locked_pose_is_opened_a_little():
     equations = Equations.of(FOUR_IN_ONE, 0.1, load=DeadLoad((2.2, 2.53)))
     found = solve_dead(random_loads(8, 2), equations, DirectOptions())
-    pose = open_gaps(found.pose, equations, 1e-4, 0.6)
-    contacts = equations.contacts(pose, 0.6)
+    pose = open_gaps(found.pose, equations, 1e-4)
+    contacts = equations.contacts(pose)
     assert contacts.links_intact.all()
     assert (contacts.min_gap > 5e-5).all()
     assert np.abs(pose.lattice - found.pose.lattice).max() < 5e-3
