@@ -75,7 +75,7 @@ def locked_by_motion(s: Array, equations: Equations, term: str) -> Equilibrium:
     rest = solve(s, equations, how)
     steps, at_rest = rest.steps, rest.status == "converged"
     found = polish(rest.pose, equations, s, TOUCHING)
-    is_locked = (found.R < DirectOptions.tolerance) & (found.contacts.min_gap > -1e-10) & found.contacts.links_intact
+    is_locked = (DirectOptions.tolerance > found.R) & (found.contacts.min_gap > -1e-10) & found.contacts.links_intact
     return replace(found, iterations=steps, status=np.where(at_rest & is_locked, "converged", "stalled"))
 
 
