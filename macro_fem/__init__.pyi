@@ -1,5 +1,5 @@
 from .answer import Solution as Solution
-from .demand.options import OnDemand as OnDemand
+from .demand.rings import OnDemand as OnDemand
 from .job import compare as compare
 from .job import run_scene as run_scene
 from .job import solve as solve
@@ -7,7 +7,6 @@ from .rings.curtain import Curtain as Curtain
 from .rings.curtain import read_curtain as read_curtain
 from .rings.every_ring import EveryRing as EveryRing
 from .rings.field import RingField as RingField
-from .rings.localize import LocalizeOptions as LocalizeOptions
 from .rings.localize import localize as localize
 from .scene.moving import Ball as Ball
 from .scene.moving import Motion as Motion

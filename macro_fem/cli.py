@@ -62,7 +62,7 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
     Exit code 0: converged; 1: files are written, and status and message say what is wrong (not converged, or taut:
     supports at the largest stretch of the mesh); 2: bad input.
     """
-    from macro_fem.demand.options import ring_options
+    from macro_fem.demand.rings import ring_options
     from macro_fem.job import run_scene
     from macro_fem.scene.scene import load_scene
     from macro_fem.told import curtain_lines, default_law_lines, motion_lines
@@ -114,7 +114,7 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
     Exit code 0: found; 2: bad input, or no value holds.
     """
     from homogenize import interval_or_law
-    from macro_fem.demand.options import ring_options
+    from macro_fem.demand.rings import ring_options
     from macro_fem.output.pictures import Pictures
     from macro_fem.scene.scene import load_scene
     from macro_fem.size import largest_that_holds
@@ -275,11 +275,11 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: str, out: Pa
 @click.option("--stl", is_flag=True, help="Write rings.stl, tori for CAD and printing.")
 def localize(curtain: Path, out: Path, window: str | None, max_rings: int, **files: bool) -> None:
     """Every ring of CURTAIN, the folder of a run: rings.vtu, rings.png, worst_cell.csv, localize.json."""
-    from macro_fem.rings.localize import LocalizeOptions, run_localize
+    from macro_fem.rings.localize import run_localize
     from macro_fem.told import ring_field_lines
 
     ends: Any = None if window is None else numbers_of(window, "--window", "x0,y0,x1,y1")
-    found = run_localize(curtain, out, LocalizeOptions(ends, max_rings), **files)
+    found = run_localize(curtain, out, ends, max_rings, **files)
     say(*ring_field_lines(found, out))
     answer(found)
     words = ["--out", _beside(out, "tubes"), *([] if window is None else ["--window", window])]

@@ -16,7 +16,7 @@ from homogenize import (
 from macro_fem.answer import RECORD, Solution, read_job
 from macro_fem.bounds.interval import admissible_problem, levels
 from macro_fem.curtain import solve_problem
-from macro_fem.demand.options import OnDemand
+from macro_fem.demand.rings import OnDemand, Rings
 from macro_fem.membrane import MembraneSolution
 from macro_fem.output.pictures import Pictures
 from macro_fem.problem import make_problem
@@ -68,7 +68,7 @@ def combined(scene: Scene, combination: Combination, cell: CellInfo | None) -> S
     """The scene with each load times its factor; `cell`: that of the law, which tells the weight of the mesh."""
     curtain, keys = scene.curtain, ("force", "pressure", "mass")
     if combination.weight != 1.0:
-        curtain = replace(curtain, areal_mass=combination.weight * areal_mass(scene, cell)[0])
+        curtain = replace(curtain, areal_mass=combination.weight * areal_mass(scene, cell))
     items = tuple(
         scaled(item, getattr(combination, item.kind), keys) if isinstance(item, LiveLoad) else item
         for item in scene.items
@@ -111,7 +111,6 @@ def solve_every_ring(scene: Scene, who: EveryRing) -> EveryRingSolution:
 def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
     """The curtain by a law that is asked of the rings; earlier load steps by the law found at full load."""
     from macro_fem.demand.loop import solve_on_demand, with_strength
-    from macro_fem.demand.rings import Rings
 
     check_sizes(scene, who.cell.r1)
     cell = in_material(scene, who.cell)

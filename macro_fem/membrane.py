@@ -20,7 +20,7 @@ from macro_fem.output.pictures import Pictures, plot_line_loads, plot_utilisatio
 from macro_fem.output.weakest import envelope
 from macro_fem.rings.curtain import curtain_of, read_told
 from macro_fem.rings.field import RingField
-from macro_fem.rings.localize import LocalizeOptions, localize
+from macro_fem.rings.localize import localize
 from macro_fem.scene.meshing.mesh_files import write_outline
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Combination
@@ -139,13 +139,12 @@ class MembraneSolution(Solution):
         """
         return plot_utilisation(self.loaded, ax)
 
-    def rings(self, options: LocalizeOptions | None = None) -> RingField:
-        """Every ring of the curtain at full load: place, tilt, gaps, links and contact forces (`macro_fem.localize`).
-
-        InputError where the law has no rings.
+    def rings(self, window: tuple[float, ...] | None = None) -> RingField:
+        """Every ring of the curtain at full load, or in a window: place, tilt, gaps, links and contact forces, see
+        `macro_fem.localize`; InputError where the law has no rings.
         """
         told = read_told(self.summary, "the curtain's summary")
-        return localize(curtain_of(files.curtain_mesh(self.loaded), told, "a curtain in memory"), options)
+        return localize(curtain_of(files.curtain_mesh(self.loaded), told, "a curtain in memory"), window)
 
     @property
     def _shown(self) -> list[CurtainSolution]:

@@ -1,5 +1,6 @@
 """The largest pitch, bar or wind, or the thinnest wire, with which a curtain holds with a factor that is asked for."""
 
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from homogenize import LawInterval, MembraneLaw, fit
-from macro_fem.demand.options import OnDemand
+from macro_fem.demand.rings import OnDemand
 from macro_fem.job import solve
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import Scene
@@ -135,10 +136,7 @@ def search(use: Callable[[float], float], values: Sequence[float], *, between: b
         return values[good[-1]] if good else None
     first = good[-1], next(int(k) for k in few if k > good[-1])
     if not between:
-        while first[1] - first[0] > 1:
-            middle = sum(first) // 2
-            first = (middle, first[1]) if use(values[middle]) <= 1.0 else (first[0], middle)
-        return values[first[0]]
+        return values[bisect_right(range(len(values)), 1.0, *first, key=lambda k: use(values[k])) - 1]
     low, high = (values[k] for k in first)
     for _ in range(MOST):
         if use(low) > 1.0 - CLOSE or abs(high - low) < CLOSE * abs(values[-1] - values[0]):

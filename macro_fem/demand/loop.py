@@ -20,8 +20,7 @@ from homogenize import LawInterval, LockedRows, MembraneLaw, Strength, strength_
 from macro_fem.bounds.interval import CurtainBounds, Loads, admissible_problem, bound, loads_of, mark, with_cones_of
 from macro_fem.curtain import solve_problem
 from macro_fem.demand.directions import between, first_directions, rounded, widest
-from macro_fem.demand.options import ACCURACY
-from macro_fem.demand.rings import GAIN, Rings
+from macro_fem.demand.rings import ACCURACY, GAIN, Rings
 from macro_fem.output.strength import critical_load
 from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.scene import Scene

@@ -132,7 +132,6 @@ def summarize(mover: AnyMover, run: Run[Any], rows: Array) -> dict[str, Any]:
         "forces": IMPULSES if mover.is_rigid else FORCES,
         "peak_support_force_N": float(force.max()),
         "peak_support_force_at_s": float(t[force.argmax()]),
-        "mean_end_mm": rows[-1, 1:4].tolist(),
         "lowest_point_mm": float(rows[-1, 4]),
         **{name: float(value) for name, value in zip(COLUMNS[5:12], rows[-1, 5:12], strict=True)},
         "account_error": account_error(rows),

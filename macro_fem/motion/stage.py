@@ -46,7 +46,7 @@ def mesh_masses(problem: CurtainProblem) -> Array:
     scene, disc = problem.scene, problem.disc
     if disc.element != "P1":
         scene.refuse(f"[mesh] element = {disc.element!r}: motion needs P1")
-    per_area = areal_mass(scene, problem.law.cell)[0] * PER_MM2 * TONNE
+    per_area = areal_mass(scene, problem.law.cell) * PER_MM2 * TONNE
     return np.asarray(per_area * load_vector(disc, np.array([1.0]))[:, 0])
 
 

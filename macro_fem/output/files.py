@@ -12,7 +12,7 @@ from macro_fem.curtain import forces_by, forces_note
 from macro_fem.drag import wind_summary
 from macro_fem.fem.cells import counterclockwise, padded
 from macro_fem.output import line_load, strength
-from macro_fem.output.forces import held_length, support_forces
+from macro_fem.output.forces import support_forces
 from macro_fem.output.weakest import links
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import PER_MM2, areal_mass
@@ -29,7 +29,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
     disc = problem.disc
     area, x = disc.cell_area, solution.x
     parts = np.bincount(solution.state(), weights=area, minlength=3) / area.sum()
-    per_area, mass_from = areal_mass(problem.scene, problem.law.cell)
+    per_area = areal_mass(problem.scene, problem.law.cell)
     told, forces, in_space = strength.summary(solution), support_forces(solution), {}
     least = next(iter(links(told | {"support_forces": forces})), None)  # of what is known and loaded
     if problem.fem.d == 3:
@@ -53,8 +53,6 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "support_forces": forces,
         "forces_by": forces_by(solution),
         "support_forces_note": forces_note(solution),
-        "nodes_held": int(problem.supports.mask.any(axis=1).sum()),
-        "length_held_mm": held_length(problem, [held.facets for held in problem.supports.held]),
         "potential_primal_N_mm": solution.primal,
         "potential_dual_N_mm": solution.dual,
         "relative_gap": solution.relative_gap,
@@ -71,7 +69,6 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "rings": rings(problem.law.cell),
         **wind_summary(solution),
         "areal_mass_kg_per_m2": per_area,
-        "areal_mass_from": mass_from,
         "mass_kg": per_area * PER_MM2 * float(area.sum()),
         "taut_area_fraction": float(parts[2]),
         "wrinkled_area_fraction": float(parts[1]),

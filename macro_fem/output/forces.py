@@ -8,7 +8,6 @@ import numpy as np
 
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import padded
-from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import wind_per_area
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.sites import point_node
@@ -91,7 +90,7 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
             for count, node in enumerate(held.nodes, 1)
             if own[node].any()
         ]
-        held_mm = held_length(problem, [held.facets])
+        held_mm = float(np.hypot(*problem.mesh.sides[held.facets].T).sum())
         forces.append(found | {"nodes_held": len(held.nodes), "length_held_mm": held_mm, "points": points})
     return forces
 
@@ -104,13 +103,6 @@ def own_forces(holds: Iterable[np.ndarray], reactions: Array) -> Iterator[tuple[
         own, largest = held & ~taken, np.linalg.norm(np.where(held, reactions, 0.0), axis=1).max(initial=0.0)
         taken |= held
         yield own, np.where(own, reactions, 0.0), float(largest)
-
-
-def held_length(problem: CurtainProblem, facets: list[np.ndarray]) -> float:
-    """Length in mm of the facets (k,) of several supports, each counted once."""
-    mesh = problem.mesh.mesh
-    ends = mesh.p[:, mesh.facets[:, np.unique(np.concatenate(facets))]]
-    return float(np.hypot(*(ends[:, 1] - ends[:, 0])).sum())
 
 
 def support_rows(supports: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:

@@ -8,12 +8,10 @@ axes, orthogonal, and their cross product is the normal of the sheet.
 """
 
 import time
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from msgspec import Meta
 from scipy.spatial.transform import Rotation
 
 import rve
@@ -22,53 +20,39 @@ from macro_fem.output.line_load import Nearby
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites, curtain_file, read_curtain
 from macro_fem.rings.field import RECORD, RingField, WorstCell
-from rve.common import Array, Index, InputError, Typed, check_out_job, tell
+from rve.common import Array, Index, InputError, check_out_job, tell
 from rve.common.tensor import WEIGHT, double_dot
 
 NARROW = 1e-3
 """A triangle drawn together to less than this part of its length takes its normal from its neighbours."""
 
 
-@dataclass(frozen=True)
-class LocalizeOptions(Typed):
-    """Which rings of a curtain are wanted: those in the window x0, y0, x1, y1 (mm, before deformation), all if None.
-
-    max_rings: more are refused, because their files grow by 0.5 kB each. InputError for values that make no sense.
-    """
-
-    window: tuple[float, float, float, float] | None = None
-    max_rings: Annotated[int, Meta(ge=1, le=10**9)] = 100_000
-
-    def check(self) -> None:
-        """InputError for a window that is no rectangle."""
-        ends = self.window
-        if ends is not None and not (np.isfinite(ends).all() and ends[0] < ends[2] and ends[1] < ends[3]):
-            self.refuse(f"window = {ends}: must be x0, y0, x1, y1 in mm with x0 < x1 and y0 < y1")
-
-
-def localize(curtain: Curtain | str | Path, options: LocalizeOptions | None = None) -> RingField:
-    """Every ring of a solved curtain: place, tilt, gaps, links and contact forces.
+def localize(
+    curtain: Curtain | str | Path, window: tuple[float, ...] | None = None, max_rings: int = 100_000
+) -> RingField:
+    """Every ring of a solved curtain, or those in a window x0, y0, x1, y1 (mm, before deformation): place, tilt, gaps,
+    links and contact forces.
 
     `curtain`: that of an answer (`answer.rings()` calls this), or the folder that `macro_fem run` wrote, or its
-    curtain.vtu. InputError in one sentence for files that are no curtain or not of one run, unknown rings, a window
-    without rings or too many of them. NotConverged if no locked state is found.
+    curtain.vtu. max_rings: more are refused, because their files grow by 0.5 kB each. InputError in one sentence for
+    files that are no curtain or not of one run, unknown rings, a window that is no rectangle or has no rings, or too
+    many of them. NotConverged if no locked state is found.
     """
     began = time.perf_counter()
-    options = options or LocalizeOptions()
+    if window is not None and not (np.isfinite(window).all() and window[0] < window[2] and window[1] < window[3]):
+        raise InputError(f"window = {window}: must be x0, y0, x1, y1 in mm with x0 < x1 and y0 < y1")
     curtain = curtain if isinstance(curtain, Curtain) else read_curtain(curtain)
     cell = curtain.told.cell(curtain.source)
     locked = rve.locked_arrangements(cell)
     axes = rve.axes_of_weave(cell, curtain.told.hang_deg)
     tell("rings in their cells")
-    sites = find_sites(curtain, cell, locked.sides, axes, options.window)
+    sites = find_sites(curtain, cell, locked.sides, axes, window)
     if not len(sites.X):
-        where = "" if options.window is None else f"--window = {','.join(f'{x:g}' for x in options.window)}: "
+        where = "" if window is None else f"--window = {','.join(f'{x:g}' for x in window)}: "
         raise InputError(f"{where}not one ring of {curtain.source} lies there")
-    if len(sites.X) > options.max_rings:
-        raise InputError(
-            f"{curtain.source}: {len(sites.X)} rings are more than --max-rings = {options.max_rings}; ask for a "
-            "--window"
-        )
+    if len(sites.X) > max_rings:
+        what = f"{len(sites.X)} rings are more than --max-rings = {max_rings}"
+        raise InputError(f"{curtain.source}: {what}; ask for a --window")
 
     used, row = np.unique(sites.triangle, return_inverse=True)
     S = in_weave(over_a_cell(curtain, used, cell.r1**2 * float(np.prod(locked.sides))), axes)
@@ -90,14 +74,14 @@ def localize(curtain: Curtain | str | Path, options: LocalizeOptions | None = No
 
 
 def run_localize(
-    path: Path, out: Path, options: LocalizeOptions, *, picture: bool = True, html: bool = False, **vtu: bool
+    path: Path, out: Path, window: tuple[float, ...] | None, max_rings: int, **files: bool
 ) -> dict[str, Any]:
-    """`localize` and `RingField.save` into `out`, `vtu`: its `tubes` and `stl`; the summary. What the picture needs and
-    what `out` would overwrite is checked before anything is solved."""
+    """`localize` and `RingField.save` into `out`, `files` as there; the summary. What the picture needs and what `out`
+    would overwrite is checked before anything is solved."""
     inputs = [curtain_file(path)]
-    Pictures(picture, html=html, stem="rings").check(in_space=True)
+    Pictures(files["picture"], html=files["html"], stem="rings").check(in_space=True)
     check_out_job(out, RECORD, inputs)
-    return localize(path, options).save(out, picture=picture, html=html, inputs=inputs, **vtu)
+    return localize(path, window, max_rings).save(out, inputs=inputs, **files)
 
 
 def over_a_cell(curtain: Curtain, triangles: Index, area: float) -> Array:

@@ -208,7 +208,7 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
     way = np.where(supports.fixed, supports.positions - in_space_of(disc.nodes, scene.d), 0.0)
     at = padded(mesh.X) + padded(onto @ way) / np.where(shares > 0.0, shares, 1.0)
     bars = []
-    mass = areal_mass(scene, info)[0] * PER_MM2 * mesh.area + onto @ bar_masses(scene, fem, disc, turning=True)
+    mass = areal_mass(scene, info) * PER_MM2 * mesh.area + onto @ bar_masses(scene, fem, disc, turning=True)
     for bar in (one for one in scene.of(Bar) if one.straight):
         line = ring[edge_nodes(fem, disc, bar.edge)]
         bars.append(line[np.sort(np.unique(line, return_index=True)[1])])

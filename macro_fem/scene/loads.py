@@ -39,18 +39,18 @@ HALVINGS = 60
 """Halvings of the interval of u, after which it is known to rounding."""
 
 
-def areal_mass(scene: Scene, cell: CellInfo | None) -> tuple[float, str]:
-    """Areal mass in kg/m2 and where it comes from: "scene" (`areal_mass`), else "law"; InputError if neither knows."""
+def areal_mass(scene: Scene, cell: CellInfo | None) -> float:
+    """Areal mass in kg/m2 of the scene, else of the law; InputError if neither knows."""
     if scene.curtain.areal_mass is not None:
-        return scene.curtain.areal_mass, "scene"
+        return scene.curtain.areal_mass
     if cell is None:
         scene.refuse("[curtain] areal_mass: is missing, and the law has no rings to tell it")
-    return cell.areal_mass_kg_per_m2, "law"
+    return cell.areal_mass_kg_per_m2
 
 
 def weight_per_area(scene: Scene, cell: CellInfo | None) -> Array:
     """Weight of the curtain (d,) in N/mm2; InputError if its areal mass is not known."""
-    return areal_mass(scene, cell)[0] * scene.vector(scene.load.acceleration) * PER_MM2
+    return areal_mass(scene, cell) * scene.vector(scene.load.acceleration) * PER_MM2
 
 
 def wind_per_area(wind: Wind, scene: Scene, cell: CellInfo | None) -> Array:

@@ -99,10 +99,6 @@ class Support(Timed):
         """
         raise NotImplementedError
 
-    def _edge(self, site: Site, name: str = "top") -> tuple[np.ndarray, np.ndarray]:
-        """Nodes (k,) and facets (m,) of a named edge."""
-        return edge_nodes(site.mesh, site.disc, name), site.mesh.edges[name]
-
     def _held(
         self, site: Site, name: str, nodes: np.ndarray, target: Array, held: str = "both", facets: np.ndarray = NONE
     ) -> Held:

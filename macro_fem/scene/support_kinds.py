@@ -32,7 +32,7 @@ class Corners(Support, kind="corners"):
     rings_per_hook: tables.RingsPerHook = 1
 
     def hold(self, site: Site) -> Held:
-        nodes = self._edge(site)[0][[0, -1]]
+        nodes = sites.edge_nodes(site.mesh, site.disc, "top")[[0, -1]]
         return self._held(site, "corners", nodes, self._narrowed(site, nodes))
 
 
@@ -44,8 +44,8 @@ class Top(Support, kind="top"):
     move: Way = NO_MOVE
 
     def hold(self, site: Site) -> Held:
-        nodes, facets = self._edge(site)
-        return self._held(site, "top", nodes, self._narrowed(site, nodes), facets=facets)
+        nodes = sites.edge_nodes(site.mesh, site.disc, "top")
+        return self._held(site, "top", nodes, self._narrowed(site, nodes), facets=site.mesh.edges["top"])
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,8 @@ class Rail(Support, kind="rail"):
     """The top edge held in height, and in space in z too, free to slide sideways."""
 
     def hold(self, site: Site) -> Held:
-        nodes, facets = self._edge(site)
-        return self._held(site, "rail", nodes, site.disc.nodes[nodes], "yz", facets)
+        nodes = sites.edge_nodes(site.mesh, site.disc, "top")
+        return self._held(site, "rail", nodes, site.disc.nodes[nodes], "yz", site.mesh.edges["top"])
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class Edge(Support, kind="edge"):
         return super().space_reason
 
     def hold(self, site: Site) -> Held:
-        nodes, facets = self._edge(site, self.edge)
+        nodes, facets = sites.edge_nodes(site.mesh, site.disc, self.edge), site.mesh.edges[self.edge]
         if self.along is not None:
             return self._on_line(site, self.along, facets)
         X = site.disc.nodes[nodes]

@@ -18,8 +18,7 @@ from macro_fem.curtain import solve_problem
 from macro_fem.demand import rings as rings_module
 from macro_fem.demand.directions import first_directions, widest
 from macro_fem.demand.loop import solve_on_demand, strength_of_rows, with_strength
-from macro_fem.demand.options import OnDemand
-from macro_fem.demand.rings import Rings, contradictions, question
+from macro_fem.demand.rings import OnDemand, Rings, contradictions, question
 from macro_fem.job import solve
 from macro_fem.output.strength import MEANING, summary
 from macro_fem.problem import make_problem

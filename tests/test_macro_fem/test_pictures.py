@@ -69,7 +69,7 @@ def test_a_picture_and_a_film_with_a_frame_per_load_step(kind, request, tmp_path
 @pytest.mark.slow
 def test_rings_of_a_curtain_in_space_are_those_of_its_files_and_lie_on_it(hammock, tmp_path):
     hammock.save(tmp_path / "curtain", picture=False)
-    window = macro_fem.LocalizeOptions(window=(60.0, 40.0, 130.0, 110.0))
+    window = (60.0, 40.0, 130.0, 110.0)
     rings, read = hammock.rings(window), macro_fem.localize(tmp_path / "curtain", window)
     np.testing.assert_allclose(read.centre_mm, rings.centre_mm, atol=1e-6)
     np.testing.assert_allclose(read.normal, rings.normal, atol=1e-6)

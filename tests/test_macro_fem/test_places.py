@@ -57,7 +57,8 @@ def test_hooks_every_200_mm_on_3_m(element):
     summary = summarize(solution)
     at, force = points_of(summary)
     np.testing.assert_allclose(at, np.column_stack([np.arange(0.0, 3001.0, 200.0), np.full(16, 300.0)]), atol=1e-9)
-    assert (summary["nodes_held"], summary["length_held_mm"]) == (16, 0.0)
+    (row,) = summary["support_forces"]
+    assert (row["nodes_held"], row["length_held_mm"]) == (16, 0.0)
     np.testing.assert_allclose(force.sum(axis=0), summary["support_forces"][0]["force_N"], atol=1e-9)
     np.testing.assert_allclose(force.sum(axis=0), [0.0, 1e-6 * 9.81 * 3000.0 * 300.0], rtol=1e-6, atol=1e-6)
 
@@ -171,8 +172,8 @@ def test_a_node_of_two_supports_counts_once():
     corner = np.linalg.norm(forces[0][together.index([0.0, 80.0])])
     assert summary["support_forces"][2]["largest_nodal_force_N"] == pytest.approx(corner)
     held = [item["nodes_held"] for item in summary["support_forces"]]
-    assert summary["nodes_held"] == sum(held) - 2 == len(together)
-    assert summary["length_held_mm"] == pytest.approx(180.0)
+    assert sum(held) - 2 == len(together)
+    assert sum(item["length_held_mm"] for item in summary["support_forces"]) == pytest.approx(180.0)
 
 
 def test_a_gathered_edge_is_narrowed_about_its_middle():

@@ -73,11 +73,6 @@ def test_a_scene_becomes_summary_and_vtu(tmp_path, law_file):
     curtain = {"shape": "file", "file": "out/curtain.vtu", "areal_mass": 2.785}
     again = read_scene({"curtain": curtain, "support": {"kind": "corners"}}, tmp_path / "scene.toml")
     assert solve_scene(again, diagonal_net(1.1)).mean_height() == pytest.approx(summary["mean_height_mm"], abs=1e-4)
-    data = meshio.read(out / "curtain.vtu")
-    data.point_data["reference_mm"] = data.points
-    data.write(out / "curtain.vtu")
-    with pytest.raises(InputError, match=r"version 0\.2 or before"):
-        solve_scene(again, diagonal_net(1.1))
 
 
 def test_load_steps_make_a_series(tmp_path, law_file):

@@ -62,8 +62,6 @@ def read_mesh(curtain: MeshFile, source: Path) -> tuple[Any, dict[str, np.ndarra
         kinds = [kind for kind in ("triangle", "quad") if len(data.cells_dict.get(kind, ()))]
         if len(kinds) != 1:
             raise InputError(f"needs cells of one kind, triangle or quad, it has {sorted(data.cells_dict)}")
-        if "reference_mm" in data.point_data:
-            raise InputError("is the deformed curtain of version 0.2 or before; solve it again")
         given = data.cells_dict[kinds[0]]
         used, cells = np.unique(given, return_inverse=True)
         cells = cells.reshape(given.shape)
