@@ -41,7 +41,7 @@ _goes_on = click.option(
 @_scene_and_law
 @_out
 @click.option("--picture/--no-picture", default=True, help="Draw curtain.png (needs matplotlib; in space pyvista).")
-@click.option("--animation", is_flag=True, help="Draw the load steps as curtain.gif.")
+@click.option("--animation", is_flag=True, help="Draw the load steps as curtain.gif (needs pyvista).")
 @click.option("--html", is_flag=True, help="Write curtain.html, which turns in a browser (needs plotly).")
 @click.option("--table", type=PATH, help="Table, CSV, to begin with instead of a law; with --rings.")
 @click.option("--rings", metavar="R1,R2", help="Ask these rings for the law, radii in mm, where the curtain needs it.")
@@ -248,7 +248,7 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: str, out: Pa
     from homogenize import load_law
     from macro_fem.job import compare as solve_both
     from macro_fem.scene.scene import load_scene
-    from macro_fem.told import default_law_lines, side_by_side
+    from macro_fem.told import default_law_lines
 
     if out is not None:
         check_out_file(out, inputs=[scene, law_path])
@@ -257,7 +257,7 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: str, out: Pa
     both = solve_both(load_scene(scene), law, space=space, start=start)
     summary, ends = both.summary, (both.disk, both.rings)
     say(*both.rings.scene.notes, *(one.message for one in ends if one.status != "converged"))
-    answer(summary, "\n".join(side_by_side(summary)))
+    answer(summary, str(both))
     if out is not None:
         write_text(out, json_text(summary))
     if any(one.status != "converged" for one in ends):

@@ -171,21 +171,6 @@ def interval_line(summary: dict[str, Any]) -> str:
     return f"{text}; {summary['ring_solves']} ring problems solved, {summary['cache_hits']} read from the cache"
 
 
-def side_by_side(summary: dict[str, Any]) -> list[str]:
-    """Lines of text: a table of both, and the distances."""
-    keys = ("status", "unknowns", "potential_N_mm", "mean_height_mm", "lowest_point_mm", "support_forces_N", "wall_s")
-    lines = [f"{'':<20}{'disk':>28}{'rings':>28}"]
-    lines += [f"{key:<20}{_text(summary['disk'][key]):>28}{_text(summary['rings'][key]):>28}" for key in keys]
-    lines += [f"{key}: {value:.6g}" for key, value in summary.items() if isinstance(value, float)]
-    return lines
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, list):
-        return "; ".join("-" if force is None else components(*force) for force in value)
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
 def components(x: float, y: float, z: float = 0.0) -> str:
     """Of a force with three digits, rounding beside the largest as 0; the third one only where there is one."""
     least = 1e-6 * max(abs(x), abs(y), abs(z))

@@ -17,7 +17,6 @@ from macro_fem.motion.stage import Contacts, let_go, masses_of, scene_at, step_o
 from macro_fem.motion.step import Account, Moment, end_of, solve_step, stored_energy
 from macro_fem.output import strength
 from macro_fem.output.files import curtain_mesh
-from macro_fem.output.pictures import figures, side_by_side
 from macro_fem.output.space_view import Titled, drawn, save_panels
 from macro_fem.problem import CurtainProblem, check_breadth, make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
@@ -31,10 +30,9 @@ from macro_fem.solvers.path import PathResult, times
 from macro_fem.solvers.status import ROUNDING, Evidence
 from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, NotConverged, digits
-from rve.common.drawing.plane import save_figure
 from rve.common.drawing.space import THREE_QUARTERS
 from rve.common.files import write_mesh_file
-from rve.common.optional import Figure, Plotter
+from rve.common.optional import Plotter
 
 REST = 10.0
 """mm that nodes at rest may go in a step before balls are looked at again."""
@@ -188,14 +186,8 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
     def drawn(self, frames: Sequence[MotionFrame]) -> Iterable[tuple[str, Plotter]]:
         return drawn(self._titled(frames))
 
-    def figures(self, frames: Sequence[MotionFrame]) -> Iterable[Figure]:
-        return figures(self._titled(frames))
-
     def draw_panels(self, path: Path, frames: Sequence[MotionFrame]) -> None:
         steps = self._titled(frames)
-        if not self.scene.in_space:
-            save_figure(path, side_by_side(steps))
-            return
         views = [(solution, THREE_QUARTERS) for _, solution in steps]
         save_panels(path, views, "at " + ", ".join(words for words, _ in steps))
 

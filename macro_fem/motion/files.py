@@ -49,7 +49,7 @@ def run_motion(
     scene, law, inputs = read_job(scene_path, law_path, out)
     each_ring = {name: how.pop(name) for name in ("space", "start") if name in how}
     wanted = Pictures(**how, stem="motion")
-    wanted.check(None if each_ring else scene)
+    wanted.check(scene, in_space=not each_ring)
     mover: AnyMover = MovingRings(scene, EveryRing(law, **each_ring)) if each_ring else MovingCurtain(scene, law)
     of, before, rows = _checksum(scene, law, each_ring.get("space")), list[Frame](), list[Any]()
     if goes_on:
@@ -86,7 +86,7 @@ def _write_pictures(folder: Path, mover: AnyMover, frames: Sequence[Frame], want
     if wanted.html:
         write_moments(folder / "motion.html", mover.drawn(some), mover.scene.source.stem)
     if wanted.animation:
-        save_animation(folder / "motion.gif", mover.figures(some))
+        save_animation(folder / "motion.gif", mover.drawn(some))
         if ffmpeg := shutil.which("ffmpeg"):
             even = "scale=trunc(iw/2)*2:trunc(ih/2)*2,format=yuv420p"  # what every player shows
             words = (ffmpeg, "-v", "quiet", "-i", folder / "motion.gif", "-vf", even, folder / "motion.mp4")

@@ -11,12 +11,11 @@ import numpy as np
 
 from macro_fem.motion.stage import let_go, scene_at
 from macro_fem.motion.step import Account, Moment, kinetic_energy, predicted
-from macro_fem.output.images import compose
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Timed
 from rve.common import Array, tell
-from rve.common.optional import Figure, Plotter
+from rve.common.optional import Plotter
 
 COLUMNS = (
     *("t_s", "mean_x_mm", "mean_y_mm", "mean_z_mm", "lowest_point_mm", "kinetic_N_mm", "potential_N_mm", "stored_N_mm"),
@@ -152,10 +151,6 @@ class Mover(ABC, Generic[F, A]):
     @abstractmethod
     def drawn(self, frames: Sequence[F]) -> Iterable[tuple[str, Plotter]]:
         """The frames in space, each with its title, on one scale and with one camera."""
-
-    def figures(self, frames: Sequence[F]) -> Iterable[Figure]:
-        """The frames as figures of one size."""
-        return (compose(one, words) for words, one in self.drawn(frames))
 
     def at_start(self, x: Array, mass: Array, weight: Array, stored: float = 0.0) -> tuple[Moment, Account]:
         """Nodes of masses (n,) in N s2/mm and weights (n, d) in N at rest at x (n, d), the last ones balls as they are

@@ -130,25 +130,21 @@ def pushes_of(solution: CurtainSolution, number: int) -> Array:
     return padded(walls.take(own).nodal(solution.wall_forces[own]))
 
 
-def obstacle_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
-    """Force of each obstacle on the curtain in N, how far it has moved, mm, and how many nodes touch it."""
-    problem, lines = solution.problem, []
-    for number, item in enumerate(problem.scene.obstacle):
-        push = pushes_of(solution, number)
-        touching = np.linalg.norm(push, axis=1) > TOUCHES * float(np.abs(problem.force).sum())
-        line = {"obstacle": item.name, "kind": type(item).__name__.lower(), "reaction_N": push.sum(axis=0).tolist()}
-        line["displacement_mm"] = float(np.linalg.norm(problem.factor * np.array(in_3d(item.move))))
-        lines.append(line | {"nodes_touched": int(np.count_nonzero(touching))})
-    return lines
-
-
 def obstacle_summary(steps: Sequence[CurtainSolution]) -> dict[str, Any]:
-    """Obstacles at full load, each with reactions and displacements over the load steps; residuals of the rounds."""
-    each, settling = [obstacle_forces(step) for step in steps], steps[-1].settling
-    found: dict[str, Any] = {"obstacles": each[-1]} if each[-1] else {}
-    for number, line in enumerate(each[-1]):
-        line["steps"] = [{key: one[number][key] for key in ("displacement_mm", "reaction_N")} for one in each]
-    if settling is not None:
+    """Of each obstacle the force on the curtain in N and how many nodes touch it at full load, and over the load steps
+    forces and displacements, mm; residuals of the rounds."""
+    last, obstacles = steps[-1].problem, []
+    for number, item in enumerate(last.scene.obstacle):
+        push, way = [pushes_of(step, number) for step in steps], float(np.linalg.norm(item.move))
+        touching = np.linalg.norm(push[-1], axis=1) > TOUCHES * float(np.abs(last.force).sum())
+        curve = [
+            {"displacement_mm": step.problem.factor * way, "reaction_N": one.sum(axis=0).tolist()}
+            for step, one in zip(steps, push, strict=True)
+        ]
+        line = {"obstacle": item.name, "kind": item.kind, "nodes_touched": int(np.count_nonzero(touching))}
+        obstacles.append(line | curve[-1] | {"steps": curve})
+    found: dict[str, Any] = {"obstacles": obstacles} if obstacles else {}
+    if (settling := steps[-1].settling) is not None:
         names = ("rounds", "misfit", "complementarity", "asked", "smoothing")
         residuals = {name: getattr(settling, name) for name in names}
         found["settling"] = residuals | {"penetration_between_nodes_mm": settling.between_nodes_mm}
@@ -157,29 +153,21 @@ def obstacle_summary(steps: Sequence[CurtainSolution]) -> dict[str, Any]:
 
 def pulls(solution: CurtainSolution) -> tuple[Array, Array]:
     """Places (k, 3) and forces (k, 3) of supports: those at points, and those of edges summed up."""
-    groups: list[np.ndarray] = []
-    taken = np.zeros(len(solution.x), bool)
-    for held in solution.problem.supports.held:
-        nodes = held.nodes[~taken[held.nodes]]
-        taken[nodes] = True
-        groups += halved(padded(solution.x), nodes, MOST_ARROWS if len(held.facets) else len(nodes))
-    return _summed_up(solution, solution.reactions, groups)
+    points = [held.nodes for held in solution.problem.supports.held if not len(held.facets)]
+    return _summed_up(solution, solution.reactions, *points)
 
 
 def pushes(solution: CurtainSolution) -> tuple[Array, Array]:
     """Places (k, 3) and forces (k, 3) of obstacles on the curtain, summed up."""
-    size = np.linalg.norm(solution.pushes, axis=1)
-    nodes = np.flatnonzero(size > 1e-6 * size.max(initial=0.0))
-    return _summed_up(solution, solution.pushes, halved(padded(solution.x), nodes, MOST_ARROWS))
+    return _summed_up(solution, solution.pushes)
 
 
 def point_loads(solution: CurtainSolution) -> tuple[Array, Array]:
     """Places (k, 3) and forces (k, 3) of the loads at points and on patches."""
-    problem = solution.problem
-    loads = [load for _, load in spot_loads(problem.scene)]
-    nodes = [int(point_node(one.at, problem.disc)[0]) for one in loads]
-    forces = np.reshape([in_3d(one.force) for one in loads], (-1, 3))
-    return padded(solution.x)[nodes], problem.factor * forces
+    problem, nodal = solution.problem, np.zeros((len(solution.x), 3))
+    for _, load in spot_loads(problem.scene):
+        nodal[point_node(load.at, problem.disc)] += problem.factor * np.array(in_3d(load.force))
+    return _summed_up(solution, nodal, np.flatnonzero(nodal.any(axis=1)))
 
 
 def winds(solution: CurtainSolution) -> tuple[Array, Array]:
@@ -190,13 +178,15 @@ def winds(solution: CurtainSolution) -> tuple[Array, Array]:
         nodal += load_vector(problem.exact, problem.wind)
     for wind in (one for one in scene.of(Wind) if not one.is_shaped):
         nodal += problem.factor * load_vector(problem.disc, wind_per_area(wind, scene, None))
-    return _summed_up(solution, nodal, halved(padded(solution.x), np.arange(len(nodal)), MOST_ARROWS))
+    return _summed_up(solution, nodal)
 
 
-def _summed_up(solution: CurtainSolution, forces: Array, groups: list[np.ndarray]) -> tuple[Array, Array]:
-    """The middle and the sum of the nodal forces (n_nodes, d) of each group."""
+def _summed_up(solution: CurtainSolution, forces: Array, *points: np.ndarray) -> tuple[Array, Array]:
+    """Places and sizes of nodal forces (n_nodes, d): each of the `points`, and of other nodes the sums of groups."""
     x, forces = padded(solution.x), padded(forces)
-    size = np.linalg.norm(forces, axis=1) + 1e-300
+    size, single = np.linalg.norm(forces, axis=1) + 1e-300, np.unique(np.concatenate([np.zeros(0, int), *points]))
+    others = np.setdiff1d(np.flatnonzero(size > 1e-6 * size.max()), single)
+    groups = [*single[:, None], *halved(x, others, MOST_ARROWS)] if forces.any() else []
     at = [np.average(x[nodes], axis=0, weights=size[nodes]) for nodes in groups]
     return np.reshape(at, (-1, 3)), np.reshape([forces[nodes].sum(axis=0) for nodes in groups], (-1, 3))
 

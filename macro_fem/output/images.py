@@ -78,14 +78,15 @@ def save_picture(path: str | os.PathLike[str], plotter: Plotter, title: str) -> 
         figure.savefig(temporary, format="png")
 
 
-def save_animation(path: str | os.PathLike[str], figures: Iterable[Figure]) -> None:
-    """Write figures of one size as an animation (GIF) that repeats, atomically."""
+def save_animation(path: str | os.PathLike[str], drawn: Iterable[tuple[str, Plotter]]) -> None:
+    """Write what a plotter shows in turn, each beneath its title, as an animation (GIF) that repeats, atomically."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
     tell(f"drawing {Path(path).name}")
     frames = []
-    for figure in figures:
+    for words, plotter in drawn:
+        figure = compose(plotter, words)
         figure.set_dpi(100)
         canvas = FigureCanvasAgg(figure)
         canvas.draw()

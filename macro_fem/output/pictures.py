@@ -1,6 +1,6 @@
 """Pictures of solved curtains; plot functions take a solution and axes, and return the axes."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ import numpy as np
 from macro_fem.fem.cells import mean_at_corners
 from macro_fem.output import space_view, strength
 from macro_fem.output.forces import FORCES
-from macro_fem.output.images import check_render, compose, save_animation
+from macro_fem.output.images import check_render, save_animation
 from macro_fem.output.page import check_page, write_page
 from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution
@@ -46,7 +46,7 @@ class Pictures:
         for is_asked, ending, instead in (png, gif):
             if is_asked:
                 require("matplotlib", "plots", f"{self.stem}.{ending}", instead)
-                if in_space or (scene is not None and scene.in_space):
+                if in_space or ending == "gif" or (scene is not None and scene.in_space):
                     check_render(f"{self.stem}.{ending}", instead)
         if self.html:
             check_page(f"{self.stem}.html", "leave out --html")
@@ -74,7 +74,7 @@ def write_pictures(folder: Path, steps: Sequence[CurtainSolution], wanted: Pictu
         titles = [space_view.title(step).replace(" N, ", " N\n") for step in steps]
         shares = [f"{100.0 * step.problem.factor:.0f} % of live loads and moves, " for step in steps]
         titled = [(share + words, step) for share, words, step in zip(shares, titles, steps, strict=True)]
-        save_animation(folder / f"{wanted.stem}.gif", figures(titled))
+        save_animation(folder / f"{wanted.stem}.gif", space_view.drawn(titled))
 
 
 def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:
@@ -82,40 +82,15 @@ def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:
     write_page(path, lambda: space_view.draw_curtain(solution), space_view.title(solution))
 
 
-def figures(steps: space_view.Titled) -> Iterator[Figure]:
-    """The curtain at each step as a figure, with one scale of colours, and one frame or camera."""
-    solutions = [one for _, one in steps]
-    if solutions[0].problem.scene.in_space:
-        for words, plotter in space_view.drawn(steps):
-            yield compose(plotter, words)
-        return
-    scale, largest = space_view.line_load_scale(solutions), space_view.largest_of(space_view.forces_of(solutions))
-    points = np.concatenate([*(one.x for one in solutions), solutions[0].problem.disc.nodes])
-    low, high = points.min(axis=0), points.max(axis=0)
-    room = 0.04 * float((high - low).max())
-    for words, solution in steps:
-        figure = new_figure(7.0, 6.2)
-        ax = plot_line_loads(solution, figure.subplots(), scale, largest)
-        ax.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
-        ax.set_title(words, fontsize=11)
-        yield figure
-
-
-def plot_line_loads(
-    solution: CurtainSolution, ax: Axes | None = None, scale: Scale | None = None, largest: tuple[float, ...] = ()
-) -> Axes:
-    """The deformed curtain coloured by its largest principal line load, with principal directions and supports.
-
-    scale, largest: colours and largest forces of a series of pictures; by default those of this solution.
-    """
+def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
+    """The deformed curtain coloured by its largest principal line load, with principal directions and supports."""
     values, direction = solution.principal()
-    scale = space_view.line_load_scale([solution]) if scale is None else scale
-    disc = solution.problem.disc
+    scale, disc = space_view.line_load_scale([solution]), solution.problem.disc
     P = mean_at_corners(solution.problem.mesh.mesh.t.T, disc.cell_mean(solution.P), disc.cell_area)
     loads = np.minimum(np.linalg.norm(P, 2, axis=(1, 2)), values.max())  # some corner has no less than any cell
     ax = _plot_field(solution, loads, scale, ax, shading="gouraud")
     _directions(solution, (values, direction), scale, ax)
-    _loads(solution, ax, largest or space_view.largest_of(space_view.forces_of([solution])))
+    _loads(solution, ax)
     _legend(ax)
     ax.set_title(space_view.title(solution).replace(", ", ",\n", 1), fontsize=11)
     return ax
@@ -144,16 +119,6 @@ def panels(solution: CurtainSolution) -> Figure:
     _colour(solution, state, axes[1], cmap=ListedColormap(list(STATES.values())), vmin=0.0, vmax=2.0)
     shown = (one for number, one in enumerate(STATES.items()) if (state == number).any())
     _legend(axes[1], [Patch(color=colour, label=name) for name, colour in shown])
-    return figure
-
-
-def side_by_side(steps: space_view.Titled) -> Figure:
-    """Line loads of several solutions on one scale."""
-    solutions, figure = [one for _, one in steps], new_figure(5.2 * len(steps), 6.0)
-    scale, largest = space_view.line_load_scale(solutions), space_view.largest_of(space_view.forces_of(solutions))
-    axes = figure.subplots(1, len(steps), squeeze=False, sharex=True, sharey=True)[0]
-    for ax, (words, solution) in zip(axes, steps, strict=True):
-        plot_line_loads(solution, ax, scale, largest).set_title(words, fontsize=11)
     return figure
 
 
@@ -224,12 +189,12 @@ def one_per_square(points: Array, chosen: np.ndarray, number: int) -> np.ndarray
     return np.sort(chosen[order[np.unique(np.floor(place[order]), axis=0, return_index=True)[1]]])
 
 
-def _loads(solution: CurtainSolution, ax: Axes, largest: Sequence[float]) -> None:
+def _loads(solution: CurtainSolution, ax: Axes) -> None:
     """Loads at points and wind as arrows, the longest of each a part of the size of the mesh."""
     size = space_view.LONGEST * solution.problem.mesh.size
-    for (name, colour, forces, way), longest in list(zip(FORCES, largest, strict=True))[2:]:
+    for name, colour, forces, way in FORCES[2:]:
         at, force = (part[:, :2] for part in forces(solution))
-        if force.any():
+        if longest := float(np.linalg.norm(force, axis=1).max(initial=0.0)):
             ax.update_datalim(at + way * size * force / longest)
             ends: Any = {"angles": "xy", "scale_units": "xy", "scale": longest / size, "width": 0.009}
             ends |= {"pivot": "tail" if way > 0 else "tip", "label": f"{name}, up to {digits(longest)} N"}

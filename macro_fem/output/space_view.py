@@ -45,16 +45,6 @@ def line_load_scale(steps: Sequence[CurtainSolution]) -> Scale:
     return Scale.of(values, "line load, N/mm of reference")
 
 
-def forces_of(steps: Sequence[CurtainSolution]) -> list[list[tuple[Array, Array]]]:
-    """Of each of `FORCES` the places and forces (n, 3), N, of every step."""
-    return [[forces(step) for step in steps] for _, _, forces, _ in FORCES]
-
-
-def largest_of(each: list[list[tuple[Array, Array]]]) -> tuple[float, ...]:
-    """The largest force of all steps, N, of each of `FORCES`."""
-    return tuple(max(float(np.linalg.norm(force, axis=1).max(initial=0.0)) for _, force in kind) for kind in each)
-
-
 def box_of(points: Array) -> Array:
     """The least and the largest coordinates (2, 3) of points (n, 3)."""
     return np.stack([points.min(axis=0), points.max(axis=0)])
@@ -77,8 +67,9 @@ class PictureFrame:
     @classmethod
     def of(cls, steps: Sequence[CurtainSolution]) -> PictureFrame:
         """The frame of one solution, or of all load steps."""
-        each = forces_of(steps)
-        largest = largest_of(each)
+        each = [[forces(step) for step in steps] for _, _, forces, _ in FORCES]  # places and forces (n, 3)
+        sizes = ([np.linalg.norm(force, axis=1).max(initial=0.0) for _, force in kind] for kind in each)
+        largest = tuple(float(max(kind)) for kind in sizes)
         both = ((at, way * force) for (*_, way), kind in zip(FORCES, each, strict=True) for at, force in kind)
         at, force = (np.concatenate(parts) for parts in zip(*both, strict=True))
         room = box_of(np.concatenate([padded(step.corners) for step in steps]))

@@ -15,6 +15,7 @@ from macro_fem.output.page import write_page
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.ring_scene import RingScene
 from macro_fem.solution import CurtainSolution
+from macro_fem.told import components
 from rve import Cell, FiniteSolution
 from rve.common import Array, InputError, versions
 from rve.common.drawing.plane import new_axes, save_figure
@@ -134,7 +135,7 @@ class Comparison:
     disk: CurtainSolution
     rings: EveryRingSolution
 
-    @property
+    @cached_property
     def summary(self) -> dict[str, Any]:
         """Numbers side by side: lengths in mm, forces in N, line loads in N/mm of reference length.
 
@@ -168,6 +169,15 @@ class Comparison:
             "line_load_averaged_over_cells": ACROSS**2,
         }
 
+    def __str__(self) -> str:
+        """A table of both, and the distances, in lines."""
+        summary = self.summary
+        lines = [f"{'':<20}{'disk':>28}{'rings':>28}"]
+        lines += [
+            f"{key:<20}{_text(value):>28}{_text(summary['rings'][key]):>28}" for key, value in summary["disk"].items()
+        ]
+        return "\n".join([*lines, *(f"{key}: {one:.6g}" for key, one in summary.items() if isinstance(one, float))])
+
     def line_load_distance(self) -> float:
         """How far line loads of both are apart, see `summary`."""
         disk, mesh, disc = self.disk, self.rings.scene.mesh, self.disk.problem.disc
@@ -190,3 +200,9 @@ class Comparison:
         there = np.where(total > 0.0, area, 0.0)
         square = there @ (ours - theirs) ** 2, there @ theirs**2
         return float(np.sqrt(square[0].sum() / square[1].sum()))
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return "; ".join("-" if force is None else components(*force) for force in value)
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
