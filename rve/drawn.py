@@ -15,7 +15,7 @@ from rve.common import Array
 from rve.common.drawing import space
 from rve.common.drawing.plane import Scale, new_axes, round_top
 from rve.common.files import write_mesh_file
-from rve.common.optional import Axes, Plotter, PolyData
+from rve.common.optional import Axes, Plotter
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
 from rve.geometry.pose import Pose
@@ -67,14 +67,6 @@ class DrawnRings:
         first = along * around * np.arange(len(self.centre))
         return points.reshape(-1, 3), quads[None] + first[:, None, None]
 
-    def tori(self, along: int, around: int, **numbers: Array) -> PolyData:
-        """The tori as a mesh of pyvista with numbers (n,) per ring by their names."""
-        points, quads = self.tubes(along, around)
-        mesh = space.surface(points, quads.reshape(-1, 4))
-        for name, values in numbers.items():
-            mesh[name] = np.repeat(values, along * around)
-        return mesh
-
     def write_vtu(self, path: Path, data: Mapping[str, Array], *, tubes: bool = False, real: type = np.float32) -> None:
         """A VTU of the centre circles, each a line of `ALONG` cells, or of the tori, by meshio.
 
@@ -110,7 +102,7 @@ class DrawnRings:
         grey = "0.5" if self.force is None else None  # any colour that is given would hide those of the forces
         drawn = LineCollection(list(self.closed_circles(ALONG)[:, :, :2]), linewidths=width, colors=grey)
         if self.force is not None:
-            scale = force_scale(np.concatenate([one.force for one in series or (self,) if one.force is not None]))
+            scale = force_scale(series or (self,))
             drawn.set(array=np.maximum(self.force, scale.low), cmap=scale.colour_map(), norm=scale.norm())
             scale.add_bar(ax, shrink=0.75, pad=0.02)
         ax.add_collection(drawn)
@@ -126,20 +118,17 @@ class DrawnRings:
         series: the rings at several moments, which share colours and camera.
         """
         plotter = space.new_plotter() if plotter is None else plotter
-        forces = [one.force for one in series or (self,) if one.force is not None]
-        scale = force_scale(np.concatenate(forces)) if forces else None
-        values = {} if self.force is None or scale is None else {scale.label: self.force}
-        colours = scale if values and scale else NO_FORCE
         count = len(self.centre)
         if count <= MOST_TUBES:
-            along, around = (36, 12) if count <= MOST_FINE else (20, 6)
-            space.add(plotter, "rings", self.tori(along, around, **values), colours)
+            points, quads = self.tubes(*((36, 12) if count <= MOST_FINE else (20, 6)))
+            mesh = space.surface(points, quads.reshape(-1, 4))
         else:
-            points = int(np.clip(MOST_POINTS // count, 8, ALONG))
-            mesh = space.lines(self.closed_circles(points))
-            for name, numbers in values.items():
-                mesh[name] = np.repeat(numbers, points + 1)
-            space.add(plotter, "rings", mesh, colours, line_width=2)
+            mesh = space.lines(self.closed_circles(int(np.clip(MOST_POINTS // count, 8, ALONG))))
+        colours: str | Scale = NO_FORCE
+        if self.force is not None:
+            colours = force_scale(series or (self,))
+            mesh[colours.label] = np.repeat(self.force, mesh.n_points // count)
+        space.add(plotter, "rings", mesh, colours, line_width=2)
         for name, centre, radius in self.balls:
             space.add(plotter, name, space.balls(centre, radius, 64), space.BODY, opacity=space.BODY_OPACITY)
         box = None
@@ -150,8 +139,9 @@ class DrawnRings:
         return plotter
 
 
-def force_scale(force: Array) -> Scale:
-    """Colours of contact forces (n,) in N by their logarithm; 0.2 % of the rings are above its round top end."""
+def force_scale(rings: Sequence[DrawnRings]) -> Scale:
+    """Colours of contact forces in N by their logarithm; 0.2 % of the rings are above its round top end."""
+    force = np.concatenate([one.force for one in rings if one.force is not None])
     largest = float(force.max(initial=0.0))
     top = round_top(max(float(np.quantile(force, 0.998)), 1e-12), largest)
     return Scale("largest contact force on the ring, N", LEAST * top, top, largest, "log")

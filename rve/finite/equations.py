@@ -58,13 +58,10 @@ def spread(con: Touching, G: Array, force: Array) -> Array:
 
 def block_diagonal(pairs: Array, weight: Array) -> sparse.csr_matrix:
     """The matrix (k, k) of blocks (p, 7, 7) along its diagonal from the beginning, plus that of weights (k,)."""
-    end, k = PAIR * len(pairs), len(weight)
-    out = pairs.copy()
+    out, end, rows = pairs.copy(), PAIR * len(pairs), np.arange(len(pairs) + 1)
     np.einsum("pkk->pk", out)[...] += weight[:end].reshape(-1, PAIR)
-    columns = np.repeat(np.arange(end).reshape(-1, 1, PAIR), PAIR, axis=1)
-    columns = np.append(columns, np.arange(end, k))
-    first = np.append(PAIR * np.arange(end), PAIR * end + np.arange(k - end + 1))
-    return sparse.csr_matrix((np.append(out, weight[end:]), columns, first), shape=(k, k))
+    near = sparse.bsr_matrix((out, rows[:-1], rows), shape=(end, end))
+    return sparse.block_diag((near, sparse.diags(weight[end:])), "csr")
 
 
 def blocks(con: Touching, G: Array, stiff: Array, force: Array, idle: Array) -> Array:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common import Array, Flags, NotConverged, Rows, part_of
-from rve.common.tensor import WEIGHT, eigenvalues
+from rve.common.tensor import WEIGHT, dyad, eigenvalues
 from rve.directions import product
 from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
@@ -191,17 +191,13 @@ def split_response(D: Array, fold: float) -> tuple[Array, Array]:
 
     Both in tensor components, D = triples (11, 12, 22); principal values > 0 of D weigh `fold`, the others 1.
     """
-    mean, half = 0.5 * (D[:, 0] + D[:, 2]), 0.5 * (D[:, 0] - D[:, 2])
-    radius = np.hypot(half, D[:, 1])
-    safe = np.maximum(radius, 1e-300)
-    c, s = np.where(radius > 0.0, half / safe, 1.0), np.where(radius > 0.0, D[:, 1] / safe, 0.0)
-    d1, d2 = mean + radius, mean - radius
-    w1, w2 = np.where(d1 > 0.0, fold, 1.0), np.where(d2 > 0.0, fold, 1.0)
-    P1 = 0.5 * np.stack([1.0 + c, s, 1.0 - c], axis=1)
-    P2 = 0.5 * np.stack([1.0 - c, -s, 1.0 + c], axis=1)
-    Q = np.stack([-s, c, s], axis=1) / np.sqrt(2.0)
+    values, vectors = np.linalg.eigh(D[:, [[0, 1], [1, 2]]])
+    v, w = np.swapaxes(vectors, 1, 2), np.where(values > 0.0, fold, 1.0)
+    P, Q = dyad(v), dyad(v.sum(axis=1)) - dyad(v[:, 0]) - dyad(v[:, 1])
+    apart = values[:, 1] - values[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
-        shear = np.where(radius > 1e-14, (w1 * d1 - w2 * d2) / (2.0 * radius), 0.5 * (w1 + w2))
-    gradient = (w1 * d1)[:, None] * P1 + (w2 * d2)[:, None] * P2
-    H = sum((w[:, None, None] * P[:, :, None]) * (WEIGHT * P)[:, None, :] for w, P in ((w1, P1), (w2, P2), (shear, Q)))
-    return gradient, np.asarray(H)
+        rate = (w * values)[:, 1] - (w * values)[:, 0]
+        shear = np.where(apart > 1e-14, rate / apart, w.mean(axis=1))
+    parts = np.concatenate([P, Q[:, None] / np.sqrt(2.0)], axis=1)
+    H = np.einsum("nk,nki,nkj->nij", np.column_stack([w, shear]), parts, WEIGHT * parts)
+    return np.einsum("nk,nki->ni", w * values, P), H
