@@ -26,9 +26,9 @@ from rve.geometry.ring_pair import (
 SOFT, FLAT, NEXT = 0.3, 100.0, 3.0
 """Minima with less than the first curvature, and stiffness^2 less than the second times the gap, are soft; points
 beside them are where the gap has grown by the third times itself."""
-_OUTER, _INNER, _POINTS = 30.0, 0.05, 200
-"""Fixed points of a pair reach to where its gap has grown by the first times itself; half-way between two of them it is
-less by the second part of it; at most so many."""
+_OUTER, _POINTS = 30.0, 26
+"""Fixed points beside a soft minimum reach to where its gap has grown by the first times itself; so many leave the gap
+at most 5 % less half-way between two of them."""
 _CHUNK = 4096
 """Pairs sampled together: their samples stay in the cache of a processor."""
 
@@ -148,32 +148,14 @@ class FixedPoints(Rows):
         d, na, nb = placed.x[b] - placed.x[a], placed.normal[a], placed.normal[b]
         return _touch_at(row, foot_on_circle(rho, na), d, nb)
 
-    def stand_for(self, minima: Minima, key: Index) -> Flags:
-        """Whether minima (m,) of pairs with these keys (p,) have a point of their pair beside them."""
-        out, own = np.zeros(len(minima.pair), dtype=bool), key[minima.pair]
-        for row in np.flatnonzero(np.isin(own, self.key)):
-            mine = self.key == own[row]
-            out[row] = (norm(self.rho[mine] - minima.rho_a[row]) < self.way[mine]).any()
-        return out
-
 
 def fixed_points(con: Touching, pairs: Index) -> FixedPoints:
     """Points around the soft minima of these pairs, where they have some."""
-    minima, soft = con.minima, (con.minima.curvature < SOFT) & ~con.fixed
-    parts = list[FixedPoints]()
-    for pair in np.intersect1d(pairs, minima.pair[soft]):
-        rows = np.flatnonzero(soft & (minima.pair == pair))
-        first, tau = minima.rho_a[rows[0]], cross(con.placed.normal[con.a[pair]], minima.rho_a[rows[0]])
-        angle = np.arctan2(minima.rho_a[rows] @ tau, minima.rho_a[rows] @ first)
-        outer, half = (_softness(minima.take(rows), con.wire, times)[1] for times in (_OUTER, _INNER))
-        order = np.argsort(angle)
-        low, high, half = (angle - outer)[order], np.maximum.accumulate((angle + outer)[order]), half[order]
-        for own in np.split(np.arange(len(low)), 1 + np.flatnonzero(low[1:] > high[:-1])):
-            begin, end = low[own].min(), high[own].max()
-            t = np.linspace(begin, end, min(_POINTS, 2 + int((end - begin) / (2.0 * half[own].min()))))
-            rho = np.cos(t)[:, None] * first + np.sin(t)[:, None] * tau
-            parts.append(FixedPoints(np.full(len(t), con.key[pair]), rho, np.full(len(t), t[1] - t[0])))
-    return NOWHERE.join(parts)
+    soft, outer = _softness(con.minima, con.wire, _OUTER)
+    rows = np.flatnonzero(soft & ~con.fixed & np.isin(con.minima.pair, pairs))
+    minima, angle = con.minima.take(rows), outer[rows] * np.linspace(-1.0, 1.0, _POINTS)[:, None]
+    rho = _aside(minima, con.placed.normal[con.a], angle)
+    return FixedPoints(np.tile(con.key[minima.pair], _POINTS), rho, np.tile(angle[1] - angle[0], _POINTS))
 
 
 NOWHERE = FixedPoints(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))
@@ -207,9 +189,10 @@ def find_touching(
     deepest = np.full(len(key), np.inf)
     np.minimum.at(deepest, minima.pair, minima.distance - 2.0 * wire)
     at_points = points.minima(placed, key)
-    minima = minima.take(~points.stand_for(minima, key))
+    away, point = cKDTree(_located(points.key, points.rho)).query(_located(key[minima.pair], minima.rho_a))
+    minima = minima.take(away >= np.append(points.way, 0.0)[point])
     free, zero, g = len(minima.pair), np.zeros((len(at_wall), 3)), g[kept]
-    others = [at_points, *(_beside_soft(minima, d, na, nb, wire, limit) if beside else ())]
+    others = [at_points, *([_beside_soft(minima, d, na, nb, wire, limit)] if beside else ())]
     others.append(Minima(at_wall, -nb[at_wall], zero, zero, g + 2.0 * wire, np.ones(len(g))).take(g < reach))
     minima = minima.join(others)
     order = np.argsort(minima.pair, kind="stable")
@@ -219,20 +202,22 @@ def find_touching(
     return Touching(placed, wire, reach, key, minima, fixed, gap, deepest, a, b)
 
 
-def _beside_soft(minima: Minima, d: Array, na: Array, nb: Array, wire: float, limit: float) -> list[Minima]:
+def _beside_soft(minima: Minima, d: Array, na: Array, nb: Array, wire: float, limit: float) -> Minima:
     """Points of ring a at fixed angles to both sides of each soft minimum.
 
     A soft minimum is about to split or has just merged; what is beside it will be the next one.
     """
-    soft, aside = _softness(minima, wire, NEXT)
-    rows, aside = minima.take(soft), np.minimum(aside[soft], 0.4)
-    tau = cross(na[rows.pair], rows.rho_a)
-    parts = []
-    for sign in (1.0, -1.0):
-        rho_a = np.cos(aside)[:, None] * rows.rho_a + sign * np.sin(aside)[:, None] * tau
-        found = _touch_at(rows.pair, rho_a, d[rows.pair], nb[rows.pair])
-        parts.append(found.take(found.distance <= limit))
-    return parts
+    soft, angle = _softness(minima, wire, NEXT)
+    rows, angle = minima.take(soft), np.minimum(angle[soft], 0.4)
+    pair = np.tile(rows.pair, 2)
+    found = _touch_at(pair, _aside(rows, na, np.stack([angle, -angle])), d[pair], nb[pair])
+    return found.take(found.distance <= limit)
+
+
+def _aside(minima: Minima, na: Array, angle: Array) -> Array:
+    """Points (k m, 3) of rings a at angles (k, m) beside minima (m,); na (p, 3): the normals of their pairs."""
+    tau = cross(na[minima.pair], minima.rho_a)
+    return np.asarray(np.cos(angle)[..., None] * minima.rho_a + np.sin(angle)[..., None] * tau).reshape(-1, 3)
 
 
 def _softness(minima: Minima, wire: float, times: float = NEXT) -> tuple[Flags, Array]:
@@ -265,10 +250,14 @@ def followed_gaps(old: Touching, placed: Placed) -> Array:
 
 def nearest(old: Touching, new: Touching) -> Index:
     """For each contact of `old` (m,) the nearest one of the same pair in `new`, -1 where there is none."""
-    # In space with the key as a coordinate contacts of other pairs are far away: those of a pair are within 2.
-    old_at, new_at = (np.column_stack([9.0 * con.key[con.minima.pair], con.minima.rho_a]) for con in (old, new))
+    old_at, new_at = (_located(con.key[con.minima.pair], con.minima.rho_a) for con in (old, new))
     distance, row = cKDTree(new_at).query(old_at, distance_upper_bound=3.0)
     return np.where(np.isfinite(distance), row, -1)
+
+
+def _located(key: Index, rho: Array) -> Array:
+    """Points rho (k, 3) in space with the key as a coordinate: those of one pair are within 2, of others far away."""
+    return np.column_stack([9.0 * key, rho])
 
 
 def links_intact(con: Touching, linked_keys: Index) -> bool:
