@@ -1,6 +1,6 @@
 """A curtain in motion, step by step: the step, its account, its record, and what is written and drawn of it."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,8 @@ from macro_fem.motion.stage import Contacts, let_go, masses_of, scene_at, step_o
 from macro_fem.motion.step import Account, Moment, end_of, solve_step, stored_energy
 from macro_fem.output import strength
 from macro_fem.output.files import curtain_mesh
-from macro_fem.output.space_view import Titled, drawn, save_panels
+from macro_fem.output.images import Draw
+from macro_fem.output.space_view import views
 from macro_fem.problem import CurtainProblem, check_breadth, make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import Sphere
@@ -30,9 +31,7 @@ from macro_fem.solvers.path import PathResult, times
 from macro_fem.solvers.status import ROUNDING, Evidence
 from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, NotConverged, digits
-from rve.common.drawing.space import THREE_QUARTERS
 from rve.common.files import write_mesh_file
-from rve.common.optional import Plotter
 
 REST = 10.0
 """mm that nodes at rest may go in a step before balls are looked at again."""
@@ -177,19 +176,11 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         inner, asked = InnerForces(frame.P, frame.S, 0.0, np.zeros(0)), Evidence(1.0, 1.0, 1.0)
         return CurtainSolution(told, "converged", asked, frame.moment.x[:n], inner, 0.0, 0.0, frame.iterations, 0.0)
 
-    def _titled(self, frames: Sequence[MotionFrame]) -> Titled:
-        return [(f"{one.moment.t:.3f} s", self.as_solution(one)) for one in frames]
-
     def write_vtu(self, path: Path, frame: MotionFrame) -> None:
         write_mesh_file(path, curtain_mesh(self.as_solution(frame)))
 
-    def drawn(self, frames: Sequence[MotionFrame]) -> Iterable[tuple[str, Plotter]]:
-        return drawn(self._titled(frames))
-
-    def draw_panels(self, path: Path, frames: Sequence[MotionFrame]) -> None:
-        steps = self._titled(frames)
-        views = [(solution, THREE_QUARTERS) for _, solution in steps]
-        save_panels(path, views, "at " + ", ".join(words for words, _ in steps))
+    def views(self, frames: Sequence[MotionFrame]) -> list[Draw]:
+        return views([self.as_solution(one) for one in frames])
 
 
 def _check(found: PathResult, t: float) -> None:

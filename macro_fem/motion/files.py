@@ -18,7 +18,7 @@ from macro_fem.motion.pace import COLUMNS, Frame, Mover, Run
 from macro_fem.motion.rings import MovingRings
 from macro_fem.motion.step import Account, Moment
 from macro_fem.output.files import collection
-from macro_fem.output.images import save_animation
+from macro_fem.output.images import in_turn, save_animation, save_panels
 from macro_fem.output.page import write_moments
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.every_ring import EveryRing
@@ -49,7 +49,7 @@ def run_motion(
     scene, law, inputs = read_job(scene_path, law_path, out)
     each_ring = {name: how.pop(name) for name in ("space", "start") if name in how}
     wanted = Pictures(**how, stem="motion")
-    wanted.check(scene, in_space=not each_ring)
+    wanted.check(scene, in_space=True)
     mover: AnyMover = MovingRings(scene, EveryRing(law, **each_ring)) if each_ring else MovingCurtain(scene, law)
     of, before, rows = _checksum(scene, law, each_ring.get("space")), list[Frame](), list[Any]()
     if goes_on:
@@ -80,13 +80,16 @@ def chosen(frames: Sequence[Frame], most: int) -> list[Any]:
 
 def _write_pictures(folder: Path, mover: AnyMover, frames: Sequence[Frame], wanted: Pictures) -> None:
     """motion.png, motion.html and motion.gif, as far as they are wanted; motion.mp4 where ffmpeg is installed."""
-    some = chosen(frames, IMAGES)
+    few, some = chosen(frames, PANELS), chosen(frames, IMAGES)
+    times = [f"{one.moment.t:.3f} s" for one in some]
     if wanted.picture:
-        mover.draw_panels(folder / "motion.png", chosen(frames, PANELS))
+        at = ", ".join(f"{one.moment.t:.3f} s" for one in few)
+        save_panels(folder / "motion.png", mover.views(few), f"at {at}")
     if wanted.html:
-        write_moments(folder / "motion.html", mover.drawn(some), mover.scene.source.stem)
+        moments = zip(times, mover.views(some), strict=True)
+        write_moments(folder / "motion.html", in_turn(moments), mover.scene.source.stem)
     if wanted.animation:
-        save_animation(folder / "motion.gif", mover.drawn(some))
+        save_animation(folder / "motion.gif", in_turn(zip(times, mover.views(some), strict=True)))
         if ffmpeg := shutil.which("ffmpeg"):
             even = "scale=trunc(iw/2)*2:trunc(ih/2)*2,format=yuv420p"  # what every player shows
             words = (ffmpeg, "-v", "quiet", "-i", folder / "motion.gif", "-vf", even, folder / "motion.mp4")

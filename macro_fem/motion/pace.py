@@ -2,7 +2,7 @@
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
@@ -11,11 +11,11 @@ import numpy as np
 
 from macro_fem.motion.stage import let_go, scene_at
 from macro_fem.motion.step import Account, Moment, kinetic_energy, predicted
+from macro_fem.output.images import Draw
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Timed
 from rve.common import Array, tell
-from rve.common.optional import Plotter
 
 COLUMNS = (
     *("t_s", "mean_x_mm", "mean_y_mm", "mean_z_mm", "lowest_point_mm", "kinetic_N_mm", "potential_N_mm", "stored_N_mm"),
@@ -145,12 +145,8 @@ class Mover(ABC, Generic[F, A]):
     def write_vtu(self, path: Path, frame: F) -> None: ...
 
     @abstractmethod
-    def draw_panels(self, path: Path, frames: Sequence[F]) -> None:
-        """Write frames side by side, PNG."""
-
-    @abstractmethod
-    def drawn(self, frames: Sequence[F]) -> Iterable[tuple[str, Plotter]]:
-        """The frames in space, each with its title, on one scale and with one camera."""
+    def views(self, frames: Sequence[F]) -> list[Draw]:
+        """How to draw frames in space, on one scale and with one camera."""
 
     def at_start(self, x: Array, mass: Array, weight: Array, stored: float = 0.0) -> tuple[Moment, Account]:
         """Nodes of masses (n,) in N s2/mm and weights (n, d) in N at rest at x (n, d), the last ones balls as they are

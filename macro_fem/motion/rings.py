@@ -5,9 +5,9 @@ centres of balls.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +16,13 @@ import numpy as np
 from macro_fem.motion.pace import End, Failed, Frame, Mover
 from macro_fem.motion.stage import TONNE, relative_wind, scene_at
 from macro_fem.motion.step import Account, Moment, StepEnd, TimeStep
+from macro_fem.output.images import Draw
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.scene import Scene
 from rve import FiniteOptions, FiniteSolution, HalfSpace, RoundBody, ring_places, slack_rings, step_rings, with_bodies
 from rve.common import Array, InputError, NotConverged, digits
-from rve.common.drawing.plane import new_figure, save_figure
-from rve.common.drawing.space import new_plotter
-from rve.common.optional import Plotter
 
 NEAR = 1e-6
 """Rings within this part of r1 of where supports hold them are there."""
@@ -199,17 +197,6 @@ class MovingRings(Mover[RingFrame, RingScene]):
     def write_vtu(self, path: Path, frame: RingFrame) -> None:
         frame.rings.write_vtu(path)
 
-    def draw_panels(self, path: Path, frames: Sequence[RingFrame]) -> None:
-        figure = new_figure(5.2 * len(frames), 6.0)
-        axes = figure.subplots(1, len(frames), squeeze=False, sharex=True, sharey=True)[0]
+    def views(self, frames: Sequence[RingFrame]) -> list[Draw]:
         rings = [frame.rings.drawn for frame in frames]
-        for ax, frame, one in zip(axes, frames, rings, strict=True):
-            one.plot(ax, series=rings).set_title(f"{frame.moment.t:.3f} s", fontsize=11)
-        save_figure(path, figure)
-
-    def drawn(self, frames: Sequence[RingFrame]) -> Iterator[tuple[str, Plotter]]:
-        rings, plotter = [frame.rings.drawn for frame in frames], new_plotter()
-        for frame, one in zip(frames, rings, strict=True):
-            yield f"{frame.moment.t:.3f} s", one.draw(plotter, rings)
-            plotter.clear_actors()
-        plotter.close()
+        return [partial(one.draw, series=rings) for one in rings]

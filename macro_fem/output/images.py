@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from ctypes import CDLL
 from ctypes.util import find_library
 from pathlib import Path
@@ -16,6 +16,8 @@ from rve.common.drawing.plane import Scale
 from rve.common.drawing.space import new_plotter
 from rve.common.optional import Figure, Plotter, PolyData
 
+Draw = Callable[[Plotter], Plotter]
+"""Draws into the active panel of a plotter, which it returns."""
 FRAME_MS, LAST_MS = 120, 1500
 """How long a frame of an animation is shown, and its last one."""
 
@@ -76,6 +78,24 @@ def save_picture(path: str | os.PathLike[str], plotter: Plotter, title: str) -> 
     plotter.close()
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png")
+
+
+def save_panels(path: str | os.PathLike[str], views: Sequence[Draw], title: str) -> None:
+    """Write views side by side beneath a title as PNG, atomically."""
+    plotter = new_plotter(len(views))
+    for panel, draw in enumerate(views):
+        plotter.subplot(0, panel)
+        draw(plotter)
+    save_picture(path, plotter, title)
+
+
+def in_turn(views: Iterable[tuple[str, Draw]]) -> Iterator[tuple[str, Plotter]]:
+    """One plotter with each of the views, after the other, and its title."""
+    plotter = new_plotter()
+    for words, draw in views:
+        yield words, draw(plotter)
+        plotter.clear_actors()
+    plotter.close()
 
 
 def save_animation(path: str | os.PathLike[str], drawn: Iterable[tuple[str, Plotter]]) -> None:

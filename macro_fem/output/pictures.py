@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from macro_fem.fem.cells import mean_at_corners
 from macro_fem.output import space_view, strength
 from macro_fem.output.forces import FORCES
-from macro_fem.output.images import check_render, save_animation
+from macro_fem.output.images import check_render, in_turn, save_animation, save_panels
 from macro_fem.output.page import check_page, write_page
 from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution
@@ -67,14 +68,16 @@ def write_pictures(folder: Path, steps: Sequence[CurtainSolution], wanted: Pictu
     if wanted.html:
         write_curtain_page(folder / f"{wanted.stem}.html", last)
     if wanted.picture and last.problem.scene.in_space:
-        space_view.save_panels(picture, [(last, space.FRONT), (last, space.THREE_QUARTERS)], space_view.title(last))
+        both = [partial(space_view.draw_curtain, last, direction=way) for way in (space.FRONT, space.THREE_QUARTERS)]
+        save_panels(picture, both, space_view.title(last))
     elif wanted.picture:
         save_figure(picture, panels(last))
     if wanted.animation:
         titles = [space_view.title(step).replace(" N, ", " N\n") for step in steps]
         shares = [f"{100.0 * step.problem.factor:.0f} % of live loads and moves, " for step in steps]
-        titled = [(share + words, step) for share, words, step in zip(shares, titles, steps, strict=True)]
-        save_animation(folder / f"{wanted.stem}.gif", space_view.drawn(titled))
+        titled = [share + words for share, words in zip(shares, titles, strict=True)]
+        moments = zip(titled, space_view.views(steps), strict=True)
+        save_animation(folder / f"{wanted.stem}.gif", in_turn(moments))
 
 
 def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:

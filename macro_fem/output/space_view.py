@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
 from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
 from macro_fem.output.forces import FORCES
-from macro_fem.output.images import save_picture
+from macro_fem.output.images import Draw
 from macro_fem.problem import placed_obstacles
 from macro_fem.scene.obstacles import Box, Cylinder, Floor, PlacedObstacle, Sphere, Wall, unit
 from macro_fem.scene.sites import Hanging
@@ -34,9 +34,6 @@ LONGEST, LEAST_ARROW = 0.16, 0.04
 """Length of the largest force's arrow over the size of the scene; forces below this part of it have no arrow."""
 SHRUNK, REACH = 0.003, 0.25
 """Obstacles are drawn smaller by this part of the size of the curtain, to see it on them, and cut off this far away."""
-
-Titled = Sequence[tuple[str, CurtainSolution]]
-"""Solutions of a series, each with what its picture is headed by."""
 
 
 def line_load_scale(steps: Sequence[CurtainSolution]) -> Scale:
@@ -116,22 +113,10 @@ def draw_curtain(
     return plotter
 
 
-def drawn(steps: Titled) -> Iterator[tuple[str, Plotter]]:
-    """A plotter, the same one, with the curtain at each step on one scale and with one camera."""
-    frame, plotter = PictureFrame.of([one for _, one in steps]), space.new_plotter()
-    for words, solution in steps:
-        yield words, draw_curtain(solution, plotter, frame)
-        plotter.clear_actors()
-    plotter.close()
-
-
-def save_panels(path: Path, views: Sequence[tuple[CurtainSolution, tuple[float, float, float]]], words: str) -> None:
-    """Write solutions side by side on one scale, each seen along a direction, beneath `words` as PNG."""
-    frame, plotter = PictureFrame.of([one for one, _ in views]), space.new_plotter(len(views))
-    for panel, (solution, direction) in enumerate(views):
-        plotter.subplot(0, panel)
-        draw_curtain(solution, plotter, frame, direction)
-    save_picture(path, plotter, words)
+def views(steps: Sequence[CurtainSolution]) -> list[Draw]:
+    """How to draw solutions on one scale and with one camera."""
+    frame = PictureFrame.of(steps)
+    return [partial(draw_curtain, one, frame=frame) for one in steps]
 
 
 def title(solution: CurtainSolution) -> str:

@@ -13,9 +13,9 @@ import macro_fem
 from homogenize import fit
 from macro_fem import Bar, Combination, Corners, EdgeLoad, Hooks, Load, Mesh, Outline, Rectangle, Scene, Wind, solve
 from macro_fem.cli import main
-from macro_fem.output import weakest
 from macro_fem.report import _loads, _sections, write_report
 from macro_fem.size import search
+from macro_fem.told import envelope as envelope_of
 from macro_fem.told import governing_line
 from rve import Cell, grid, solve_table, with_rings
 from rve.common.errors import InputError
@@ -70,7 +70,7 @@ def test_factors_scale_forces_of_a_shape_that_stays():
     assert [row["combination"] for row in envelope["support_forces"]] == ["all"] * 2
     apart = {"points": [{"at_mm": [9.0, 9.0], "force_N": [0.0, 4.0], "place_mm": [9.0, 9.0]}]}  # of a finer mesh
     other = summary | {"support_forces": [summary["support_forces"][0] | apart]}
-    both = weakest.envelope([(factors[0], summary | {"weakest_factor": None}), (factors[1], other)])
+    both = envelope_of([(factors[0], summary | {"weakest_factor": None}), (factors[1], other)])
     assert both["envelope"]["governing"] == "light"  # the other is as without load
     assert [row["combination"] for row in both["envelope"]["support_forces"]] == ["all", "all", "light"]
 

@@ -5,9 +5,9 @@ import pytest
 
 import macro_fem
 from macro_fem.output.forces import pulls, winds
-from macro_fem.output.images import parts
+from macro_fem.output.images import in_turn, parts
 from macro_fem.output.pictures import STATES, panels
-from macro_fem.output.space_view import drawn
+from macro_fem.output.space_view import views
 from rve.common.errors import InputError
 from tests.films import film_of
 from tests.test_macro_fem.sheets import sheet
@@ -38,10 +38,10 @@ def test_arrows_of_supports_add_up_to_the_load(hammock):
 
 
 def test_pictures_of_a_series_share_the_ground_and_the_names_of_forces(hammock, plane):
-    steps = drawn([("half", hammock.steps[0]), ("all", hammock.steps[1])])
+    steps = in_turn((str(k), draw) for k, draw in enumerate(views(hammock.steps)))
     first, last = [{name: part[0].bounds for name, part in parts(one).items()} for _, one in steps]
     assert (list(first), first["_ground"]) == (list(last), last["_ground"])
-    half, whole = (list(parts(one)) for _, one in drawn([("half", plane.steps[0]), ("all", plane.steps[1])]))
+    half, whole = (list(parts(one)) for _, one in in_turn(zip("ab", views(plane.steps), strict=True)))
     assert half == whole
     assert "load at a point, longest 1.41 N" in whole
     assert panels(plane.solution).axes[0].get_legend_handles_labels()[1][-1] == "load at a point, up to 1.41 N"
