@@ -7,22 +7,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rve.common import SENTENCES, Array, Flags, InputError, NotConverged, part_of, versions
+from rve.common import SENTENCES, Array, InputError, NotConverged, part_of, versions
 from rve.common.files import TABLE_FORMAT
 from rve.common.rings import areal_mass
 from rve.common.tensor import double_dot
 from rve.directions import grid
-from rve.equilibrium.branches import RowStates, largest_rows, make_rows, states_beside
+from rve.equilibrium.branches import RowStates, largest_rows
 from rve.equilibrium.dead_load import DeadLoad, LoadedCell, solve_dead
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium, LockedStates, solve_equilibrium, unit_loads
-from rve.equilibrium.largest_work import in_cell
-from rve.equilibrium.limits import balanced, with_limits
+from rve.equilibrium.interior_point import DirectOptions, Equilibrium, LockedStates, solve_equilibrium
+from rve.equilibrium.limits import with_limits
 from rve.equilibrium.mixtures import MOVED
 from rve.equilibrium.system import Equations, mirror_modes
 from rve.geometry.cell import Cell, weave_axes
 from rve.geometry.contacts import unlisted_gap
 from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
-from rve.geometry.pose import Pose, deformation, tiled
+from rve.geometry.pose import Pose
 from rve.table import RowQuality, StrainTable
 
 BLOCK = 512
@@ -125,7 +124,7 @@ def solve_table(
     states = locked_states(alpha, beta, cell, options)
     record: dict[str, Any] = {}
     if options.branches == "largest":
-        table, record["branches"] = largest_table(alpha, beta, cell, states, options, sides)
+        table, record["branches"] = largest_table(alpha, beta, states, options, sides)
     elif cell.is_larger:
         raise InputError("--branches first follows the slack pose, which is the same in every cell: leave out --cells")
     else:
@@ -135,68 +134,36 @@ def solve_table(
 
 
 def largest_table(
-    alpha: Array, beta: Array, cell: Cell, states: LockedStates, options: DirectOptions, sides_mm: tuple[float, float]
+    alpha: Array, beta: Array, states: LockedStates, options: DirectOptions, sides_mm: tuple[float, float]
 ) -> tuple[StrainTable, dict[str, Any]]:
     """The table of these locked states with every row replaced under whose S another known state does more work; and
     which states coexist, for the sidecar.
     """
-    began = time.perf_counter()
-    s = states.s
-    mesh = LoadedCell.of(states.cell, sides_mm, options)
-    first = make_rows(states.found, s, mesh)
-    states, rows, left = largest_states(states, first, s, mesh)
-    primitive = rows.E
+    began, cell = time.perf_counter(), states.cell
+    mesh = LoadedCell.of(cell, sides_mm, options)
+    first = RowStates.of(mesh, states.found, states.s, "slack", states.unique)
+    rows, left, beside = largest_rows(first, states.s, mesh)
+    primitive, record = rows.E, {}
     for larger in cell.stages:
         mesh = LoadedCell.of(larger, sides_mm, options)
-        states = replace(states, found=in_cell(states.found, states.s, mesh.cauchy), cell=larger)
-        rows = replace(rows, pose=tiled(rows.pose, larger.weave))
-        states, rows, left = largest_states(states, rows, s, mesh)
-    beyond = int((np.abs(rows.E - primitive).max(axis=1) > MOVED).sum())
-    record = {"rows_beyond_the_primitive_cell": beyond} if cell.is_larger else {}
-    status = np.where(left, "below", states.found.status).astype("<U16")
-    states = replace(states, found=mark_unlisted(replace(states.found, status=status), states.cell))
+        rows, left, more = largest_rows(rows.in_cell(mesh), states.s, mesh)
+        beside |= more
+        record = {"rows_beyond_the_primitive_cell": int((np.abs(rows.E - primitive).max(axis=1) > MOVED).sum())}
+    status = np.where(left, "below", rows.found.status).astype("<U16")
+    found = mark_unlisted(replace(rows.found, status=status), mesh.cell)
+    known = tuple((np.full(len(each[0]), i), *each) for i, each in beside.items() if rows.branch[i] == "coexisting")
+    states = LockedStates(found, rows.s, rows.unique, mesh.cell, known)
     table = replace(table_rows(alpha, beta, states, sides_mm), branch=rows.branch)
-    return table, branch_record(table, first, rows, left, time.perf_counter() - began) | record
+    return table, branch_record(table, first, rows, time.perf_counter() - began) | record
 
 
-def largest_states(
-    states: LockedStates, rows: RowStates, s: Array, mesh: LoadedCell
-) -> tuple[LockedStates, RowStates, Flags]:
-    """Locked states of largest work in their cell under the Cauchy loads s (n, 3); the rows; the rows (n,) that a known
-    state still contradicts. A coexisting state has the unit Cauchy load that it carries in its own pose."""
-    rows, found, changed, left, known = largest_rows(rows, states.found, s, mesh)
-    unique, loads = states.unique.copy(), states.s.copy()
-    unique[changed], loads[changed] = rows.unique[changed], s[changed]
-    mixed = np.flatnonzero(changed & (rows.branch == "coexisting"))
-    own, loads[mixed] = _under_own_loads(found.take(mixed), rows.S[mixed], mesh)
-    beside = [(at[keep], share[keep], one.take(keep)) for at, share, one in states.beside for keep in [~changed[at]]]
-    at, share, others = states_beside(rows, known, s, mesh)
-    if len(at):
-        pushed = balanced(others.pose, unit_loads(others.S), mesh.dead)
-        pushed, carried = _under_own_loads(pushed, others.S, mesh)
-        free = np.zeros(len(at), dtype=bool)
-        beside.append((at, share, LockedStates(pushed, carried, free, states.cell)))
-    return replace(states, found=found.put(mixed, own), unique=unique, s=loads, beside=tuple(beside)), rows, left
-
-
-def _under_own_loads(found: Equilibrium, S: Array, mesh: LoadedCell) -> tuple[Equilibrium, Array]:
-    """Equilibria under dead loads S (n, 3) as those under the unit Cauchy loads (n, 3) that they carry."""
-    F = deformation(found.pose, mesh.sides)
-    # second_pk with the inverse of F leads back: s = J^-1 F S F^T.
-    own = second_pk(np.asarray(np.linalg.inv(F)), unit_loads(S))
-    size = np.sqrt(double_dot(own, own))[:, None]
-    return replace(found, lam=found.lam / size[..., None]), own / size
-
-
-def branch_record(table: StrainTable, first: RowStates, rows: RowStates, left: Flags, wall: float) -> dict[str, Any]:
+def branch_record(table: StrainTable, first: RowStates, rows: RowStates, wall: float) -> dict[str, Any]:
     """Which rows have several states, and what work each does under S, at unit trace of S."""
-    several = []
-    for i in np.flatnonzero((rows.branch != "slack") | left):
-        slack, best = double_dot(rows.S[i], first.E[i]), double_dot(rows.S[i], rows.E[i])
-        alpha, beta = float(table.alpha_deg[i]), float(table.beta_deg[i])
-        row: dict[str, Any] = {"row": int(i), "alpha_deg": alpha, "beta_deg": beta}
-        row |= {"branch": "below" if left[i] else str(rows.branch[i])}
-        several.append(row | {"work_from_slack": float(slack), "work": float(best)})
+    branch, several = np.where(table.status == "below", "below", rows.branch), []
+    for i in np.flatnonzero(branch != "slack").tolist():
+        row = {"row": i, "alpha_deg": float(table.alpha_deg[i]), "beta_deg": float(table.beta_deg[i])}
+        slack, best = (float(double_dot(rows.S[i], of.E[i])) for of in (first, rows))
+        several.append(row | {"branch": str(branch[i]), "work_from_slack": slack, "work": best})
     how = "restarts from the states of other rows, their mirror images, and dead loads from slack and random poses"
     return {"maximum_by": how, "several_states": several, "wall_s": round(wall, 3)}
 

@@ -59,8 +59,11 @@ class DeadLoad:
 
 @dataclass(frozen=True)
 class LoadedCell:
-    """What does not change: equations under Cauchy and under dead loads, sides of the reference cell in r1, options."""
+    """What does not change: cell, its equations under Cauchy and under dead loads, sides of the reference cell in r1,
+    options.
+    """
 
+    cell: Cell
     cauchy: Equations
     dead: Equations
     sides: tuple[float, float]
@@ -70,7 +73,7 @@ class LoadedCell:
     def of(cell: Cell, sides_mm: tuple[float, float], options: DirectOptions) -> LoadedCell:
         """A cell, of the weave that it names, on a reference cell with sides b_x, b_y in mm."""
         equations, sides = Equations.of(cell.weave, cell.wire), weave_sides(cell, sides_mm)
-        return LoadedCell(equations, replace(equations, load=DeadLoad(sides)), sides, options)
+        return LoadedCell(cell, equations, replace(equations, load=DeadLoad(sides)), sides, options)
 
     def conjugate(self, E: Array, s: Array) -> Array:
         """S (n, 3) of unit trace of the Cauchy loads s on cells with the strains E, by the rotation rule."""

@@ -199,18 +199,18 @@ def in_cell(found: Equilibrium, s: Array, equations: Equations) -> Equilibrium:
     return replace(found, pose=made.pose, contacts=made.contacts, lam=made.lam, R=R)
 
 
-def states_beyond(found: Equilibrium, S: Array, mesh: LoadedCell) -> KnownStates:
+def states_beyond(pose: Pose, S: Array, mesh: LoadedCell) -> KnownStates:
     """States that do more work under the dead loads S (n, 3) of unit trace than these locked ones of a larger cell."""
-    equations = mesh.dead
+    equations, s = mesh.dead, unit_loads(S)
     way = np.random.default_rng(0).uniform(-1.0, 1.0, (len(S), equations.modes.shape[1]))
     way[:, :3] = 0.0
     rows, ways = [np.arange(len(S))], [DISTURBED * equations.wire * way]
-    for i, stiffness, motions in loose_motions(equations, found, unit_loads(S)):
+    for i, stiffness, motions in loose_motions(equations, balanced(pose, s, equations), s):
         gives = motions.T[np.flatnonzero(stiffness < UNSTABLE)[:MODES]]
         rows.append(np.full(len(gives), i))
         ways.append(PUSH * equations.wire * gives / np.abs(gives).max(axis=1, keepdims=True))
     row, way = np.concatenate(rows), np.concatenate(ways)
-    here = found.pose.take(row)
+    here = pose.take(row)
     start = equations.moved(here, way)
     new = restart(S[row], equations, start, NEAR_MARGIN, mesh.options)
     more = double_dot(S[row], strain_of(new.pose, mesh.sides) - strain_of(here, mesh.sides)) > GAIN
@@ -223,4 +223,4 @@ def largest_beyond(planar: Largest, known: KnownStates | None, mesh: LoadedCell)
     best = replace(planar, mesh=mesh, found=found)
     states = best.states if known is None else best.states.join([known])
     ended = np.flatnonzero(np.isfinite(best.h))
-    return climbed(best, states.join([states_beyond(best.found.take(ended), best.S[ended], mesh)]))
+    return climbed(best, states.join([states_beyond(best.found.pose.take(ended), best.S[ended], mesh)]))
