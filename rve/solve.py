@@ -15,6 +15,7 @@ from rve.directions import grid
 from rve.equilibrium.branches import RowStates, largest_rows
 from rve.equilibrium.dead_load import DeadLoad, LoadedCell, solve_dead
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, LockedStates, solve_equilibrium
+from rve.equilibrium.largest_work import in_cell
 from rve.equilibrium.limits import with_limits
 from rve.equilibrium.mixtures import MOVED
 from rve.equilibrium.system import Equations, mirror_modes
@@ -146,7 +147,8 @@ def largest_table(
     primitive, record = rows.E, {}
     for larger in cell.stages:
         mesh = LoadedCell.of(larger, sides_mm, options)
-        rows, left, more = largest_rows(rows.in_cell(mesh), states.s, mesh)
+        rows = replace(rows, found=in_cell(rows.found, rows.s, mesh.cauchy))
+        rows, left, more = largest_rows(rows, states.s, mesh)
         beside |= more
         record = {"rows_beyond_the_primitive_cell": int((np.abs(rows.E - primitive).max(axis=1) > MOVED).sum())}
     status = np.where(left, "below", rows.found.status).astype("<U16")

@@ -17,7 +17,7 @@ from rve.common import Array, Flags, Index, Rows, tell
 from rve.common.tensor import WEIGHT, double_dot
 from rve.equilibrium.dead_load import MARGINS, LoadedCell, follow_promising, random_poses, restart, restart_patiently
 from rve.equilibrium.interior_point import Equilibrium, LockedStates
-from rve.equilibrium.largest_work import GAIN, ROUNDS, KnownStates, Largest, climbed, in_cell, largest, states_beyond
+from rve.equilibrium.largest_work import GAIN, ROUNDS, KnownStates, Largest, climbed, largest, states_beyond
 from rve.equilibrium.limits import strain_is_unique
 from rve.equilibrium.mixtures import MOVED, balance_works, best_mixture
 from rve.geometry.pose import Pose, start_pose, strain_of
@@ -65,10 +65,6 @@ class RowStates(Rows):
         may do more work."""
         branch, unique = np.full(len(S), UNDECIDED, dtype="<U16"), np.zeros(len(S), dtype=bool)
         return RowStates(replace(self.found, pose=pose), self.s, S, strain_of(pose, mesh.sides), branch, unique)
-
-    def in_cell(self, mesh: LoadedCell) -> RowStates:
-        """These rows of the primitive cell, or of one row of the larger one, in a larger cell."""
-        return replace(self, found=in_cell(self.found, self.s, mesh.cauchy))
 
     def states(self, mesh: LoadedCell) -> KnownStates:
         """The known states, with their images."""

@@ -195,8 +195,7 @@ def _better_states(best: Largest, states: KnownStates, tried: set[tuple[int, int
 def in_cell(found: Equilibrium, s: Array, equations: Equations) -> Equilibrium:
     """Locked states of the planar primitive cell under the loads s (n, 3), in the larger cell of `equations`."""
     made = balanced(tiled(found.pose, equations.weave), s, equations)
-    R = np.where(found.status == "converged", made.R, found.R)
-    return replace(found, pose=made.pose, contacts=made.contacts, lam=made.lam, R=R)
+    return replace(made, iterations=found.iterations, status=found.status, attempts=found.attempts)
 
 
 def states_beyond(pose: Pose, S: Array, mesh: LoadedCell) -> KnownStates:

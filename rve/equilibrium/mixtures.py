@@ -11,8 +11,8 @@ from rve.common.tensor import WEIGHT, double_dot
 from rve.equilibrium.dead_load import MARGINS, LoadedCell, restart_patiently
 from rve.equilibrium.interior_point import Equilibrium, LockedStates, unit_loads
 from rve.equilibrium.largest_work import GAIN, KnownStates
-from rve.geometry.kinematics import second_pk
-from rve.geometry.pose import deformation
+from rve.geometry.kinematics import cauchy_of
+from rve.geometry.pose import strain_of
 
 MOVED = 1e-6
 """Strain by which states must differ to be two."""
@@ -111,26 +111,27 @@ def balance_works(
         if found and is_equal and (not left or np.abs(way).max() <= LOAD_TOLERANCE):
             order = np.argsort(-shares)
             return (_under_own_loads(found.take(order), S, mesh), shares[order], S), reached
+        if not left:
+            break
         old, back = before or (to, 0.0 * way)
         turn = way - back  # the S that the states lead to depends on S: a secant step
         before, S = (to, way), to - float(way @ turn) / max(float(turn @ turn), 1e-300) * (to - old)
-        loads = np.tile(S, (len(shares), 1))
-        for margin in MARGINS if left else ():
-            found = restart_patiently(loads, mesh.dead, start.pose, mesh.options, margin)
-            reached = KnownStates.of(mesh, found, loads, found.status == "converged")
-            if len(reached.E) == len(loads) and equal_shares(s, reached.E, mesh) is not None:
+        loads, here = np.tile(S, (len(shares), 1)), start.pose
+        for margin in MARGINS:
+            new = restart_patiently(loads, mesh.dead, here, mesh.options, margin)
+            start = KnownStates(new.pose, loads, strain_of(new.pose, mesh.sides))
+            if equal_shares(s, start.E, mesh) is not None:
                 break
-        if len(reached.E) < len(loads):
+        found, good = new, new.status == "converged"
+        reached = start.take(good)
+        if not good.all():
             break
-        start = reached
     return None, reached
 
 
 def _under_own_loads(found: Equilibrium, S: Array, mesh: LoadedCell) -> LockedStates:
     """Equilibria under the dead load S (3,) as those under the unit Cauchy loads that they carry."""
-    # second_pk with the inverse of F leads back: s = J^-1 F S F^T.
-    F = deformation(found.pose, mesh.sides)
-    own = second_pk(np.asarray(np.linalg.inv(F)), unit_loads(np.tile(S, (len(F), 1))))
-    size = np.sqrt(double_dot(own, own))[:, None]
-    free = np.zeros(len(F), dtype=bool)
-    return LockedStates(replace(found, lam=found.lam / size[..., None]), own / size, free, mesh.cell)
+    E = strain_of(found.pose, mesh.sides)
+    own = cauchy_of(unit_loads(np.tile(S, (len(E), 1))), E)
+    lam = found.lam / np.sqrt(double_dot(own, own))[:, None, None]
+    return LockedStates(replace(found, lam=lam), unit_loads(own), np.zeros(len(E), dtype=bool), mesh.cell)

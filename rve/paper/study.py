@@ -3,7 +3,6 @@
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -151,7 +150,10 @@ def run(
         for (alpha_deg, beta_deg), case in study.kinked:
             write_text(folder / f"history_{alpha_deg:g}_{beta_deg:g}.csv", _history_csv(study, case))
         write_text(folder / "comparison.md", markdown(rows))
-        draw_all(study, Path(folder))
+        for number, fig in enumerate(figures(study), 9):
+            tell(f"drawing fig_{number:02d}.png")
+            if fig is not None:
+                save_figure(folder / f"fig_{number:02d}.png", fig)
     return study
 
 
@@ -269,12 +271,3 @@ def figures(study: Study) -> Iterator[Any]:
     yield strains(study)
     yield in_space(study, study.E, NAMES, study.table.E)
     yield from (draw(study) for draw in (steps, clock, progress_of_two))
-
-
-def draw_all(study: Study, folder: Path) -> None:
-    """Draw Figs. 9 to 17 into a folder."""
-    for number, fig in enumerate(figures(study)):
-        name = f"fig_{number + 9:02d}.png"
-        tell(f"drawing {name}")
-        if fig is not None:
-            save_figure(folder / name, fig)
