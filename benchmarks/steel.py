@@ -15,7 +15,7 @@ from homogenize import default_law, with_material
 from homogenize.laws.giving import constant_compliance
 from homogenize.laws.polyhedral import PolyhedralLaw
 from macro_fem.curtain import solve_problem
-from macro_fem.fem.cells import triangle_areas
+from macro_fem.fem.cells import signed_areas
 from macro_fem.job import solve
 from macro_fem.output.strength import summary, utilisation
 from macro_fem.problem import make_problem
@@ -112,7 +112,7 @@ def refined(scene: Scene, mesh: CurtainMesh, side: float, place: Any = None) -> 
         which, finer = mesh.mesh.element_finder(), mesh
         for _ in range(HALVINGS):
             middle = finer.mesh.p[:, finer.mesh.t].mean(axis=1)
-            area = triangle_areas(finer.mesh.p.T[finer.mesh.t.T])
+            area = np.abs(signed_areas(finer.mesh.p.T[finer.mesh.t.T]))
             where = np.flatnonzero(high[which(*middle)] & (area > side**2))
             finer = refine(finer, where) if len(where) else finer
         if finer is mesh:

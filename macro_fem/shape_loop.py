@@ -177,7 +177,7 @@ class _Watch:
     def __init__(self, problem: CurtainProblem, deepest: float) -> None:
         disc, half = problem.disc, min([body.obstacle.breadth for body in problem.bodies], default=np.inf)
         fine = max(FINE, math.ceil(3.0 * problem.mesh.longest_side / half))
-        lattice = disc.lattice if fine == FINE else disc.lattice_of(fine)
+        lattice = disc.lattice_of(fine)
         self.lattice = lattice[np.flatnonzero(abs(lattice) @ problem.fem.held.any(axis=1) == 0.0)]
         self.deepest = deepest
 

@@ -58,18 +58,7 @@ def links(summary: dict[str, Any]) -> list[Link]:
 
 
 def holds_line(summary: dict[str, Any]) -> str:
-    """Whether the curtain holds, in one line: the factor, what gives first, what the other links bear.
-
-    >>> hooks = {"support": "hooks", "capacity_N": 50.0, "largest_nodal_force_N": 10.0}
-    >>> known = {"utilisation_of_averages_max": 0.2, "utilisation_of_point_forces_max": 0.0, "strength_note": None}
-    >>> ring = {"utilisation_of_hook_rings_max": 0.4, "ring_at_hook": "ring at hook 3"}
-    >>> of = {"ring_material": "steel", "ring_yield_N_per_mm2": 235.0, "utilisation_too_low": None}
-    >>> print(holds_line({"support_forces": [hooks], **known, **ring, **of}).replace("; ", ";\\n"))
-    holds with a factor 2.5;
-    the ring at hook 3 would yield first (steel, 235 N/mm2);
-    hooks of support 1 bear up to 10 N of 50 N;
-    the mesh yields at 5 times the load
-    """
+    """Whether the curtain holds, in one line: the factor, what gives first, what the other links bear."""
     found, too_low = links(summary), summary["utilisation_too_low"]
     least = found[0].factor if found else float("inf")
     if least < 1.0:
@@ -145,7 +134,7 @@ def curtain_lines(summary: dict[str, Any], out: Path, *, explain: bool) -> Itera
         yield f"{'without the factors of combinations: ' * ('envelope' in summary)}{holds_line(summary)}"
         yield from filter(None, [summary["support_forces_note"]])
     yield from combination_lines(summary)
-    if "interval" in summary:
+    if "bounds" in summary:
         yield interval_line(summary)
     if explain:
         for row in summary["features"]:
@@ -200,12 +189,7 @@ def ring_field_lines(found: dict[str, Any], out: Path) -> Iterator[str]:
 
 
 def hooks_lines(summary: dict[str, Any]) -> list[str]:
-    """How far apart hooks and runners are, whether as the scene asks, and how many points count for another support.
-
-    >>> one = {"support": "hooks", "nodes_held": 24, "points": [0] * 24, "pitch_mm": 130.4348, "pitch_asked_mm": 129.0}
-    >>> hooks_lines({"support_forces": [one]})
-    ['hooks: 24, 130.435 mm apart; pitch = 129 does not divide the edge']
-    """
+    """How far apart hooks and runners are, whether as the scene asks, and how many points count for another support."""
     lines = []
     for one in summary["support_forces"]:
         if "pitch_mm" in one:

@@ -24,11 +24,6 @@ def counterclockwise(points: Array, cells: Index) -> Index:
     return np.where(signed_areas(points[cells])[:, None] < 0.0, cells[:, ::-1], cells)
 
 
-def triangle_areas(corners: Array) -> Array:
-    """Areas (n,) of triangles with corners (n, 3, 2)."""
-    return np.abs(signed_areas(corners))
-
-
 def mean_at_corners(cells: Index, values: Array, weight: Array | None = None) -> Array:
     """The mean at each corner (p, ...) of the values (c, ...) of the cells (c, k) that meet there.
 

@@ -111,16 +111,13 @@ def interval_summary(bounds: CurtainBounds) -> dict[str, Any]:
     law has no rows: then the interval is that of the law, not of the rings."""
     problem, law = bounds.solution.problem, bounds.law_part
     what, unit, per, ends = "potential", "N_mm", 1.0, [bounds.lower, bounds.upper]
-    of = "potential, since the loads are not the curtain's weight downwards alone"
     if is_mean_height(problem):
-        what, unit, per, of = "mean_height", "mm", float(np.abs(problem.force).sum()), "mean height"
+        what, unit, per = "mean_height", "mm", float(np.abs(problem.force).sum())
         ends = bounds_summary(bounds)["mean_height_mm"]
-    for_what = "this law: its rows are not known" if law is None else "the rings, between the laws inside and outside"
     return {
         f"{what}_interval_{unit}": ends,
         f"law_part_{unit}": None if law is None else law / per,
         f"mesh_part_{unit}": (bounds.gap - (law or 0.0)) / per,
-        "interval": f"of the {of}; holds for the continuous curtain and {for_what}",
     }
 
 

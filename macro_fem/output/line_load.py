@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 
-from macro_fem.fem.cells import triangle_areas
+from macro_fem.fem.cells import signed_areas
 from macro_fem.output.forces import PointForce
 from macro_fem.scene.loads import disk_areas
 from macro_fem.solution import CurtainSolution
@@ -80,7 +80,7 @@ class Nearby:
         self.middle = self.corners.mean(axis=1)
         self.half = np.linalg.norm(self.corners - self.middle[:, None], axis=-1).max(axis=1)
         self.radius = float(np.sqrt(area / np.pi))
-        self.whole = float(triangle_areas(self.corners).sum())
+        self.whole = float(np.abs(signed_areas(self.corners)).sum())
         self.tree = cKDTree(self.middle)
 
     @cached_property

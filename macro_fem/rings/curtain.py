@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
-from macro_fem.fem.cells import recovered, triangle_areas
+from macro_fem.fem.cells import recovered, signed_areas
 from macro_fem.scene.meshing.mesh_files import read_mesh_file
 from rve import Cell, cell_of_sides
 from rve.common import Array, Index, InputError, Rows, Typed, check_belongs, read_json_object, read_typed, types_of
@@ -109,7 +109,7 @@ def curtain_of(mesh: Any, told: Told, source: str) -> Curtain:
     names = "E_11_12_22", "S_11_12_22_N_per_mm", "line_load_1_N_per_mm", "state_0_slack_1_wrinkled_2_taut"
     E, S, line_load, state = (np.asarray(mesh.cell_data[name][0]) for name in names)
     X, x = X[:, :2], x[:, :2] if np.abs(x[:, 2]).max() <= 1e-9 * np.abs(x).max() else x
-    S = recovered(triangles, S, triangle_areas(X[triangles]))
+    S = recovered(triangles, S, np.abs(signed_areas(X[triangles])))
     return Curtain(X, x, triangles, E, S, line_load, state.astype(int), told, source)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import rve
-from macro_fem.fem.cells import mean_at_corners, padded, triangle_areas
+from macro_fem.fem.cells import mean_at_corners, padded, signed_areas
 from macro_fem.output.line_load import Nearby
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites, curtain_file, read_curtain
@@ -88,7 +88,7 @@ def over_a_cell(curtain: Curtain, triangles: Index, area: float) -> Array:
     """S (n, 3) in triangles (n,) of a curtain, the mean over the `area` (mm2) of a cell of the weave around those that
     are smaller: beside held points S grows with every refinement, what rings take does not."""
     near, S = Nearby(curtain.X, curtain.triangles, curtain.S, curtain.line_load, area), curtain.S[triangles]
-    for k in np.flatnonzero(triangle_areas(near.corners[triangles]) < area):
+    for k in np.flatnonzero(np.abs(signed_areas(near.corners[triangles])) < area):
         S[k] = near.mean(near.middle[triangles[k]])
     return S
 
@@ -188,6 +188,6 @@ def polar(F: Array, normal: Array) -> Array:
 
 def _normals(curtain: Curtain) -> Array:
     """Normals (t, 3) of the triangles, averaged over their neighbours by the area of the triangles."""
-    own = triangle_areas(curtain.X[curtain.triangles])[:, None] * np.cross(curtain.F[:, :, 0], curtain.F[:, :, 1])
+    own = np.abs(signed_areas(curtain.X[curtain.triangles]))[:, None] * np.cross(curtain.F[:, :, 0], curtain.F[:, :, 1])
     around = mean_at_corners(curtain.triangles, own)[curtain.triangles].mean(axis=1)
     return np.asarray(around / np.maximum(np.linalg.norm(around, axis=1, keepdims=True), 1e-300))

@@ -99,14 +99,7 @@ def in_material(scene: Scene, cell: Cell) -> Cell:
 
 
 def ring_scene(scene: Scene, rings: Cell | MembraneLaw | None = None, *, at_rest: bool = True) -> RingScene:
-    """The rings of a scene, see `EveryRing`; InputError for what they cannot be or hold, and what falls if `at_rest`.
-
-    >>> from macro_fem import Rectangle, Top
-    >>> scene = Scene(Rectangle(22.0, 12.646069623526), [Top()])
-    >>> rings = ring_scene(scene)
-    >>> len(rings.mesh.X), [int(held[:, 1].sum()) for _, held in rings.groups]
-    (8, [3])
-    """
+    """The rings of a scene, see `EveryRing`; InputError for what they cannot be or hold, what falls if `at_rest`."""
     info: CellInfo | None
     if isinstance(rings, Cell):
         info = cell_of(solve_table(in_material(scene, rings), ([0.0], [90.0])))

@@ -7,11 +7,9 @@ from dataclasses import fields
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from macro_fem.scene.moving import Ball, scaled
 from macro_fem.scene.obstacles import Body
-from macro_fem.scene.shapes import Disk, MeshFile, Rectangle
+from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.sites import Hanging
 from macro_fem.scene.tables import NO_MOVE, Bar, LiveLoad, Timed, Wind, in_3d
 from rve.common.typed import BadField
@@ -131,14 +129,11 @@ def check_sizes(scene: Scene, r1: float | None) -> None:
     """InputError for a curtain or pitch less than a ring of radius r1, None without rings, or a thinner body."""
     if r1 is None:
         return
-    sizes: list[tuple[str, float]] = [(f"{one.where} pitch", one.pitch) for one in scene.of(Hanging) if one.pitch]
-    curtain = scene.curtain
-    if isinstance(curtain, Disk):
-        sizes.insert(0, ("[curtain] radius", curtain.radius))
-    elif not isinstance(curtain, MeshFile):
-        name = "[curtain]" if isinstance(curtain, Rectangle) else "[curtain] outline: its"
-        width, height = np.ptp(curtain.corners(1), axis=0).tolist()
-        sizes = [(f"{name} width", width), (f"{name} height", height), *sizes]
+    sizes: list[tuple[str, float]] = []
+    if not isinstance(scene.curtain, MeshFile):
+        width, height = scene.curtain.extent(scene.curtain.corners(1)).tolist()
+        sizes = [("[curtain] width", width), ("[curtain] height", height)]
+    sizes += [(f"{one.where} pitch", one.pitch) for one in scene.of(Hanging) if one.pitch]
     limits = [(where, value, 2.0 * r1, "diameter") for where, value in sizes]
     limits += [(f"{one.where} width", 2.0 * one.breadth, r1, "radius") for one in scene.of(Body)]
     for where, value, least, what in limits:

@@ -75,7 +75,7 @@ material.poisson = 0.4 -> poisson = 0.4: is that of the law's table, 0.3
 material.colour = 1 -> colour = 1: unknown key; known are material, density
 material = {yield = 400.0, ultimate = 300.0} -> [material] ultimate = 300: is less than the yield stress, 400
 curtain.width = 3.0 -> width = 3: is less than the diameter of a ring, 10 mm; lengths are in mm, did you mean 3000?
-curtain = {shape = "disk", radius = 1.2} -> radius = 1.2: is less than the diameter of a ring, 10 mm
+curtain = {shape = "disk", radius = 1.2} -> width = 2.4: is less than the diameter of a ring, 10 mm
 support = {kind = "hooks", pitch = 0.2} -> (hooks) pitch = 0.2
 obstacle = {kind = "sphere", centre = [0, 0, 50], radius = 0.05} -> less than the radius of a ring, 5 mm
 support = [{kind = "top"}, {kind = "edge", edge = "bottom", move = [0, 2]}];

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay
 
 from homogenize import CellInfo
-from macro_fem.fem.cells import counterclockwise, triangle_areas
+from macro_fem.fem.cells import counterclockwise, signed_areas
 from macro_fem.scene.meshing.edges import inherited_edges, named_edges, paths
 from macro_fem.scene.meshing.mesh_files import read_mesh
 from macro_fem.scene.meshing.nodes import with_nodes_at
@@ -214,7 +214,7 @@ def mesh_outline(
     triangles = Delaunay(points + tied).simplices
     triangles = triangles[shapely.contains_xy(region, points[triangles].mean(axis=1))]
     triangles = counterclockwise(points, triangles)
-    triangles = triangles[triangle_areas(points[triangles]) > 0.5e-6 * spacing**2]
+    triangles = triangles[np.abs(signed_areas(points[triangles])) > 0.5e-6 * spacing**2]
     _check_border(triangles, [len(part) for part in border])
     used, triangles = np.unique(triangles, return_inverse=True)
     return points[used], triangles.reshape(-1, 3)
