@@ -64,8 +64,8 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
     """
     from macro_fem.demand.rings import ring_options
     from macro_fem.job import run_scene
+    from macro_fem.output.told import curtain_lines, default_law_lines, motion_lines
     from macro_fem.scene.scene import load_scene
-    from macro_fem.told import curtain_lines, default_law_lines, motion_lines
 
     files = {name: more.pop(name) for name in ("picture", "animation", "html", "report", "dxf")}
     asked = ring_options(law=law_path, **more)
@@ -218,8 +218,8 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animatio
     """
     from macro_fem.job import run_rings
     from macro_fem.motion.files import run_motion
+    from macro_fem.output.told import default_law_lines, every_ring_lines, motion_lines
     from macro_fem.scene.scene import load_scene
-    from macro_fem.told import default_law_lines, every_ring_lines, motion_lines
 
     say(*default_law_lines(law_path))
     plane, law = () if how["space"] else ("--plane",), () if law_path is None else ("--law", law_path)
@@ -247,8 +247,8 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: str, out: Pa
     """
     from homogenize import load_law
     from macro_fem.job import compare as solve_both
+    from macro_fem.output.told import default_law_lines
     from macro_fem.scene.scene import load_scene
-    from macro_fem.told import default_law_lines
 
     if out is not None:
         check_out_file(out, inputs=[scene, law_path])
@@ -275,8 +275,8 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: str, out: Pa
 @click.option("--stl", is_flag=True, help="Write rings.stl, tori for CAD and printing.")
 def localize(curtain: Path, out: Path, window: str | None, max_rings: int, **files: bool) -> None:
     """Every ring of CURTAIN, the folder of a run: rings.vtu, rings.png, worst_cell.csv, localize.json."""
+    from macro_fem.output.told import ring_field_lines
     from macro_fem.rings.localize import run_localize
-    from macro_fem.told import ring_field_lines
 
     ends: Any = None if window is None else numbers_of(window, "--window", "x0,y0,x1,y1")
     found = run_localize(curtain, out, ends, max_rings, **files)

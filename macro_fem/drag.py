@@ -112,7 +112,9 @@ def wind_summary(solution: CurtainSolution) -> dict[str, list[dict[str, float]]]
     """Drag of one flat layer in winds with a speed, and front, its mean layers and solidity, and drag of the shape."""
     problem, lines = solution.problem, []
     cell, reference = problem.law.cell, problem.disc.cell_area
-    for wind in (one for one in problem.scene.of(Wind) if one.speed is not None):
+    for wind in problem.scene.of(Wind):
+        if wind.speed is None:
+            continue
         assert cell is not None  # see `macro_fem.scene.loads.nodal_forces`
         a = vector_areas(problem, solution.F)
         layers = layers_of(problem, replace(wind, follows=False), solution.x, a)  # on its way

@@ -17,6 +17,7 @@ from macro_fem.curtain import with_forces
 from macro_fem.output import files
 from macro_fem.output.forces import obstacle_summary
 from macro_fem.output.pictures import Pictures, plot_line_loads, plot_utilisation, write_curtain_page, write_pictures
+from macro_fem.output.told import envelope
 from macro_fem.rings.curtain import curtain_of, read_told
 from macro_fem.rings.field import RingField
 from macro_fem.rings.localize import localize
@@ -25,7 +26,6 @@ from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Combination
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.status import Status
-from macro_fem.told import envelope
 from rve.common import InputError, check_out_file, csv_text, tell, write_text
 from rve.common.files import write_mesh_file
 from rve.common.optional import Axes

@@ -9,10 +9,10 @@ import numpy as np
 
 from macro_fem.output.forces import first_of_largest, spot_loads
 from macro_fem.output.pictures import plot_line_loads, plot_utilisation
+from macro_fem.output.told import combination_lines, components, links, order_lines, verdict
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, Wind
 from macro_fem.solution import CurtainSolution
-from macro_fem.told import combination_lines, components, links, order_lines, verdict
 from rve.common import atomic_path, checksum, digits
 from rve.common.drawing.plane import BLUE, VERMILION, new_figure
 from rve.common.optional import Axes, Figure

@@ -1,1 +1,1 @@
-"""Output of a solved curtain: files, pictures, line loads, the table of --explain."""
+"""Output of a solved curtain: files, pictures, line loads, strength, and what is said of it."""

@@ -13,10 +13,10 @@ import macro_fem
 from homogenize import fit
 from macro_fem import Bar, Combination, Corners, EdgeLoad, Hooks, Load, Mesh, Outline, Rectangle, Scene, Wind, solve
 from macro_fem.cli import main
+from macro_fem.output.told import envelope as envelope_of
+from macro_fem.output.told import governing_line
 from macro_fem.report import _loads, _sections, write_report
 from macro_fem.size import search
-from macro_fem.told import envelope as envelope_of
-from macro_fem.told import governing_line
 from rve import Cell, grid, solve_table, with_rings
 from rve.common.errors import InputError
 

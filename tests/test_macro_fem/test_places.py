@@ -18,13 +18,13 @@ from homogenize.laws.protocol import CellInfo
 from macro_fem.cli import main
 from macro_fem.fem.cells import signed_areas
 from macro_fem.output.files import summarize
+from macro_fem.output.told import hooks_lines
 from macro_fem.problem import make_problem
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.loads import disk_areas
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.meshing.nodes import LEAST_SINE
 from macro_fem.scene.scene import read_scene
-from macro_fem.told import hooks_lines
 from rve.common.errors import InputError
 from tests.test_macro_fem.sheets import least_angle, solve_scene
 
