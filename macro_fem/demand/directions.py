@@ -31,9 +31,6 @@ def first_directions(is_mirrored: bool) -> Array:
     """Directions (n, 2) to begin with: the centre, some half-way to the rim, and most on it, where meshes wrinkle.
 
     Of a mesh that is its own mirror image, x2 -> -x2, one half is enough.
-
-    >>> len(first_directions(True)), len(first_directions(False))
-    (12, 19)
     """
     points = [np.zeros((1, 2))]
     for radius, half in ((0.6, 3), (1.0, 6)):
@@ -46,10 +43,6 @@ def widest(x: Array, part: Array, known: Array, most: int, is_mirrored: bool) ->
     """At most `most` directions (n, 2) to ask for, given stresses at x (m, 2) with their parts (m,) of the interval.
 
     known (k, 2): directions asked before. Of a mesh that is its own mirror image those with x2 >= 0 stand for all.
-
-    >>> x = np.array([[0.5, 0.0], [0.5, 0.001], [-0.5, 0.0]])
-    >>> widest(x, np.array([1.0, 1.0, 3.0]), np.array([[0.0, 0.0]]), 1, True).tolist()
-    [[-0.5, 0.0]]
     """
     there = part > 0.0
     x, part = x[there], part[there]

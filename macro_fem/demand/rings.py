@@ -206,10 +206,6 @@ def contradictions(rows: LockedRows) -> list[tuple[int, int, tuple[float, float]
     """Rows i under whose load the strain of another does more work, the row j that does most, and its direction.
 
     The direction is that of the mirror image where it is the image of row j that does the work.
-
-    >>> S, E = np.array([[0.5, 0.0, 0.5], [0.4, 0.0, 0.6]]), np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.1]])
-    >>> contradictions(LockedRows(S, E, np.array([0.0, 0.1]), np.ones(2, bool), np.arange(2)))
-    [(0, 1, (-0.2, 0.0))]
     """
     S, E = rows.S, rows.E
     if rows.is_mirrored:

@@ -6,18 +6,6 @@ quadrature points and nodes are small dense matrix products. Entries reach their
 Shapes: points are the leading axis, in the order of `macro_fem.fem.discretization`. The unknown u (n_nodes, d) has
 d = 2 components (plane) or d = 3 (space); its flat number is node * d + component. The gradient F is (n_points, d, 2):
 the reference state is always plane. Component slices such as F[:, 0, 1] of returned arrays are contiguous.
-
-Example:
-    >>> import skfem
-    >>> from macro_fem.fem.discretization import discretize
-    >>> disc = discretize(skfem.MeshTri.init_tensor(np.linspace(0, 2, 5), np.linspace(0, 1, 3)), "P1")
-    >>> x = disc.nodes * [1.1, 1.0]
-    >>> bool(np.allclose(gradient(disc, x), [[1.1, 0.0], [0.0, 1.0]]))
-    True
-    >>> pattern = SparsityPattern.of(disc, d=2, free=np.repeat(disc.nodes[:, 0] > 0.0, 2))
-    >>> A = np.broadcast_to(np.eye(4).reshape(2, 2, 2, 2), (disc.n_points, 2, 2, 2, 2))
-    >>> stiffness(disc, pattern, A).shape
-    (24, 24)
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What acts in a scene in motion at a moment: histories, masses lumped at the nodes, weights, winds; half-spaces of
 obstacles at their places at the end of a step, of bodies with mass, and of small motions."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
@@ -110,7 +110,6 @@ def relative_wind(wind: Wind, force: Array, v: Array) -> tuple[Array, Array]:
     return (share * U / W)[:, None] * force, (share / W)[:, None, None] * force[:, :, None] * w
 
 
-@dataclass(eq=False)
 class Contacts:
     """Tangent half-spaces of the obstacles of a problem, and of balls whose centres are the last nodes.
 
@@ -118,14 +117,15 @@ class Contacts:
     a ball during the step, mm.
     """
 
-    problem: CurtainProblem
-    balls: tuple[Ball, ...]
-    before: CurtainProblem | None = None
-    way: float = np.inf
-
-    def __post_init__(self) -> None:
-        self.obstacles, self.n = placed_obstacles(self.problem), self.problem.disc.n_nodes
-        self.old = placed_obstacles(self.before or self.problem)
+    def __init__(
+        self,
+        problem: CurtainProblem,
+        balls: tuple[Ball, ...],
+        before: CurtainProblem | None = None,
+        way: float = np.inf,
+    ) -> None:
+        self.problem, self.balls, self.way, self.n = problem, balls, way, problem.disc.n_nodes
+        self.obstacles, self.old = placed_obstacles(problem), placed_obstacles(before or problem)
         self.near: dict[int, np.ndarray] = {}
 
     def tangents(self, x: Array) -> Walls:

@@ -199,8 +199,6 @@ class TimeStep:
         return {"moment": Moment(self.now.t + self.h, end.x, v), "account": account, "rebound": rebound}
 
 
-Tangents = Callable[[Array], Walls]
-"""Half-spaces of obstacles and bodies that touch them where they are closest to nodes at x (n, d)."""
 ROUNDS, SETTLED = 8, 1e-4
 """How often tangent half-spaces are found anew at most, and reactions that may still turn, over all forces."""
 GAP, FIRST_GAP = 1e-10, 1.0
@@ -208,10 +206,11 @@ GAP, FIRST_GAP = 1e-10, 1.0
 
 
 def solve_step(
-    problem: CurtainProblem, fem: SupportedFem, step: TimeStep, cones: Cones | None, tangents: Tangents
+    problem: CurtainProblem, fem: SupportedFem, step: TimeStep, cones: Cones | None, tangents: Callable[[Array], Walls]
 ) -> tuple[PathResult, Walls]:
     """The solver's record of a step of the curtain of a problem, with the nodes of `fem`, by the half-spaces `cones` of
-    the step before; and half-spaces of obstacles."""
+    the step before; and half-spaces of obstacles. tangents: those where obstacles and bodies are closest to nodes at x
+    (n, d)."""
     law, inertia, compliance = problem.law, step.inertia(fem), np.zeros((3, 3))
     if problem.scene.solver.is_elastic:
         law, compliance = problem.elastic_law, problem.elastic_law.compliance

@@ -108,10 +108,6 @@ def own_forces(holds: Iterable[np.ndarray], reactions: Array) -> Iterator[tuple[
 def support_rows(supports: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
     """Columns and rows of support_forces.csv: each point with number and name of its support, reference position, force
     and place, and its own name, if it has one.
-
-    >>> held = {"point": "hook 1", "at_mm": [0.0, 9.0], "force_N": [0.5, 2.0], "place_mm": [1.0, 9.0]}
-    >>> support_rows([{"support": "hooks", "points": [held]}])[1]
-    [(1, 'hooks', 0.0, 9.0, 0.5, 2.0, 0.0, 1.0, 9.0, 0.0, 'hook 1')]
     """
     columns = [f"{what}_{axis}_{unit}" for what, unit in (("force", "N"), ("place", "mm")) for axis in "xyz"]
     points = [(number, one["support"], point) for number, one in enumerate(supports, 1) for point in one["points"]]

@@ -29,14 +29,6 @@ UPRIGHT = 1e-3
 DIRECTIONS = {"top": (0.0, 1.0), "bottom": (0.0, -1.0), "left": (-1.0, 0.0), "right": (1.0, 0.0)}
 
 
-@dataclass(frozen=True, eq=False)
-class Loop:
-    """A closed piece of the boundary, mesh on the left: `facets` (k,) in order and the node (k,) where each begins."""
-
-    facets: np.ndarray
-    nodes: np.ndarray
-
-
 def named_edges(mesh: Any, holes: list[Array], lines: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Facet numbers by name: "outline", top, bottom, left, right, "hole 1", ..., and `lines` of node pairs (k, 2).
 
@@ -44,13 +36,13 @@ def named_edges(mesh: Any, holes: list[Array], lines: dict[str, np.ndarray]) -> 
     is also called "hole". A line named in the file comes before an edge of the same name.
     """
     loops = boundary_loops(mesh)
-    outer = [loop for loop in loops if signed_areas(mesh.p[:, loop.nodes].T) > 0.0]
-    inner = _in_order(mesh, [loop for loop in loops if signed_areas(mesh.p[:, loop.nodes].T) <= 0.0], holes)
-    edges = {"outline": np.concatenate([loop.facets for loop in outer])}
+    outer = [loop for loop in loops if signed_areas(mesh.p[:, loop].T) > 0.0]
+    inner = _in_order(mesh, [loop for loop in loops if signed_areas(mesh.p[:, loop].T) <= 0.0], holes)
+    edges = {"outline": np.concatenate([facets_along(mesh, loop) for loop in outer])}
     edges |= _sides(mesh, [chain for loop in outer for chain in _chains(mesh, loop)])
-    edges |= {f"hole {number}": loop.facets for number, loop in enumerate(inner, start=1)}
+    edges |= {f"hole {number}": facets_along(mesh, loop) for number, loop in enumerate(inner, start=1)}
     if len(inner) == 1:
-        edges["hole"] = inner[0].facets
+        edges["hole"] = edges["hole 1"]
     edges |= {name: facets_between(mesh, pairs) for name, pairs in lines.items()}
     return {name: np.sort(facets) for name, facets in edges.items() if len(facets)}
 
@@ -73,22 +65,23 @@ def inherited_edges(coarse: Any, fine: Any, edges: dict[str, np.ndarray]) -> dic
     return found
 
 
-def boundary_loops(mesh: Any) -> list[Loop]:
-    """The closed loops of the boundary. Where two meet at a node each keeps to its own cells.
+def boundary_loops(mesh: Any) -> list[np.ndarray]:
+    """The nodes (k + 1,) of each closed loop of the boundary, the first one again at the end, mesh on the left. Where
+    two meet at a node each keeps to its own cells.
 
     InputError where cells overlap, so that the boundary is not made of closed lines.
     """
     rim, tree, loops = mesh.boundary_facets(), cKDTree(mesh.p.T), []
     for region in shapely.get_parts(shapely.polygonize(shapely.linestrings(mesh.p.T[mesh.facets[:, rim].T]))):
         for number, ring in enumerate(shapely.get_rings(region)):
-            nodes = tree.query(shapely.get_coordinates(ring)[:-1])[1]
+            nodes = tree.query(shapely.get_coordinates(ring))[1]
             is_clockwise, is_hole = signed_areas(mesh.p[:, nodes].T) < 0.0, number > 0
             nodes = nodes if is_clockwise == is_hole else nodes[::-1]
-            facets = facets_along(mesh, np.append(nodes, nodes[0]))
-            if not shapely.contains_xy(region, *mesh.p[:, mesh.t[:, mesh.f2t[0, facets[0]]]].mean(axis=1)):
+            cell = mesh.f2t[0, facets_along(mesh, nodes[:2])[0]]
+            if not shapely.contains_xy(region, *mesh.p[:, mesh.t[:, cell]].mean(axis=1)):
                 break  # a hole
-            loops.append(Loop(facets, nodes))
-    if len(lost := np.setdiff1d(rim, np.concatenate([loop.facets for loop in loops]))):
+            loops.append(nodes)
+    if len(lost := np.setdiff1d(rim, np.concatenate([facets_along(mesh, loop) for loop in loops]))):
         x, y = mesh.p[:, mesh.facets[0, lost[0]]]
         raise InputError(f"cells overlap at ({x:g}, {y:g}): the boundary there is no closed line")
     return loops
@@ -136,20 +129,19 @@ def paths(pairs: np.ndarray, points: Array) -> list[Line]:
     return sorted(found, key=lambda line: (line.is_closed, *line.points[0]))
 
 
-def _in_order(mesh: Any, loops: list[Loop], holes: list[Array]) -> list[Loop]:
+def _in_order(mesh: Any, loops: list[np.ndarray], holes: list[Array]) -> list[np.ndarray]:
     """Hole loops in the order of the polygons `holes`, or of their centres."""
     if holes and len(loops) == len(holes):
-        away = [[np.linalg.norm(mesh.p[:, loop.nodes].T - hole[0], axis=1).min() for loop in loops] for hole in holes]
+        away = [[np.linalg.norm(mesh.p[:, loop].T - hole[0], axis=1).min() for loop in loops] for hole in holes]
         return [loops[k] for k in np.argmin(away, axis=1)]
     digits = 1e-6 * float(np.ptp(mesh.p, axis=1).max())
-    centres = [tuple(np.round(mesh.p[:, loop.nodes].mean(axis=1) / digits)) for loop in loops]
+    centres = [tuple(np.round(mesh.p[:, loop[1:]].mean(axis=1) / digits)) for loop in loops]
     return [loops[k] for k in sorted(range(len(loops)), key=centres.__getitem__)]
 
 
-def _chains(mesh: Any, loop: Loop) -> list[tuple[np.ndarray, Array]]:
+def _chains(mesh: Any, loop: np.ndarray) -> list[tuple[np.ndarray, Array]]:
     """The chains of an outer loop, facets (k,) and mean normal (2,) of each; see the module header."""
-    at = mesh.p[:, loop.nodes].T
-    step = np.roll(at, -1, axis=0) - at
+    facets, step = facets_along(mesh, loop), np.diff(mesh.p[:, loop].T, axis=0)
     length = np.linalg.norm(step, axis=1)
     normal = np.stack([step[:, 1], -step[:, 0]], axis=-1) / length[:, None]
     before = np.roll(normal, 1, axis=0)
@@ -163,7 +155,7 @@ def _chains(mesh: Any, loop: Loop) -> list[tuple[np.ndarray, Array]]:
         changes = kind[part] != kind[np.roll(part, 1)]
         changes[0] |= bool(is_corner.any())
         parts += [part[piece] for piece in _cut(changes)] if is_bent else [part]
-    return [(loop.facets[part], np.average(normal[part], axis=0, weights=length[part])) for part in parts]
+    return [(facets[part], np.average(normal[part], axis=0, weights=length[part])) for part in parts]
 
 
 def _cut(before: np.ndarray) -> list[np.ndarray]:

@@ -192,7 +192,7 @@ def write_outline(path: Path, mesh: Any) -> None:
     document = ezdxf.new(units=ezdxf.units.MM)
     document.layers.add("CURTAIN")
     for loop in boundary_loops(mesh):
-        points = mesh.p[:, loop.nodes].T
+        points = mesh.p[:, loop[1:]].T
         before, after = points - np.roll(points, 1, axis=0), np.roll(points, -1, axis=0) - points
         lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
         corners = points[(np.abs(cross(before, after)) > STRAIGHT * lengths) | ((before * after).sum(axis=1) < 0.0)]
