@@ -196,10 +196,10 @@ _ring_options = options(
     click.option("--space/--plane", default=True, show_default=True, help="Centres free in space, or in the plane."),
     click.option(
         "--start",
-        type=click.Choice(["slack", "disk", "motion"]),
+        type=click.Choice(["slack", "disk"]),
         default="slack",
         show_default=True,
-        help="Slack weave, one that the membrane guides, or that moves to rest.",
+        help="Slack weave, or one that the membrane guides.",
     ),
 )
 

@@ -29,7 +29,7 @@ from macro_fem.scene.moving import scaled
 from macro_fem.scene.scene import Scene, load_scene
 from macro_fem.scene.tables import Combination, LiveLoad
 from macro_fem.solution import CurtainSolution
-from rve import Cell, FiniteOptions
+from rve import Cell
 from rve.common import Cache, InputError, check_out_job, noted_if_stopped, part_of
 
 Who = MembraneLaw | LawInterval | OnDemand | EveryRing | None
@@ -104,7 +104,7 @@ def solve_every_ring(scene: Scene, who: EveryRing) -> EveryRingSolution:
         if isinstance(who.rings, Cell):
             raise InputError('start = "disk": needs the law that guides the rings: EveryRing(law, start="disk")')
         disk = solve_membrane(scene, who.rings).solution
-    found = rings.solve(space=who.space, disk=disk, options=FiniteOptions(by_motion=who.start == "motion"))
+    found = rings.solve(space=who.space, disk=disk)
     return EveryRingSolution(rings, found, who.start, disk)
 
 
@@ -185,7 +185,7 @@ def run_rings(
 
 
 def compare(scene: Scene, law: MembraneLaw | None = None, *, space: bool = True, start: str = "slack") -> Comparison:
-    """The membrane on the mesh of the scene, and its rings from a start "slack", "disk" or "motion", see `EveryRing`.
+    """The membrane on the mesh of the scene, and its rings from a start "slack" or "disk", see `EveryRing`.
 
     InputError for scenes that one of both cannot be.
     """

@@ -62,7 +62,6 @@ macro_fem run scene.toml --out new --law table.csv -> table.csv: is not JSON
 macro_fem run scene.toml --out new --law table.json -> table.json: format
 macro_fem run law.json --out new -> law.json: is not TOML
 macro_fem run moving.toml --out new --explain -> are for a curtain at rest
-macro_fem rings moving.toml --out new --start motion -> --start motion: is for rings at rest
 macro_fem compare combined.toml -> [combination]: is for a curtain by a law
 macro_fem size scene.toml --vary speed --from 1 --to 2 --factor 1 -> Error: scene.toml: --vary speed: the scene has no
 macro_fem size moving.toml --vary mass --from 1 --to 2 --factor 1 -> which is not sized

@@ -21,7 +21,7 @@ from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.scene import Scene
-from rve import FiniteOptions, FiniteSolution, HalfSpace, RoundBody, ring_places, slack_rings, step_rings, with_bodies
+from rve import FiniteSolution, HalfSpace, RoundBody, ring_places, slack_rings, step_rings, with_bodies
 from rve.common import Array, InputError, NotConverged, digits
 
 NEAR = 1e-6
@@ -77,12 +77,11 @@ class MovingRings(Mover[RingFrame, RingScene]):
         return slack_rings(self.first.mesh, space=self.who.space)
 
     def first_frame(self) -> RingFrame:
-        start, is_hung = self.who.start, self.motion.start == "hung"
-        if start == "disk" or (start == "motion" and not is_hung):
-            self.scene.refuse(f"--start {start}: is for rings at rest; begin from the slack weave")
-        if not is_hung:
+        if self.who.start == "disk":
+            self.scene.refuse("--start disk: is for rings at rest; begin from the slack weave")
+        if self.motion.start != "hung":
             return self.frame_of(self._slack())
-        found = self.first.solve(space=self.who.space, options=FiniteOptions(by_motion=start == "motion"))
+        found = self.first.solve(space=self.who.space)
         if found.status != "converged":
             raise NotConverged(f"{self.scene.source}: the rings at rest at t = 0 are {found.status}: {found.message}")
         return self.frame_of(found)

@@ -36,7 +36,7 @@ class EveryRing:
     r2 = 0.5 mm).
 
     space: whether centres are free in space, or stay in the plane; start: the "slack" weave, or one that the membrane
-    of the law guides ("disk"), or that moves to rest, damped ("motion").
+    of the law guides ("disk").
     """
 
     rings: Cell | MembraneLaw | None = None
@@ -52,7 +52,7 @@ def or_none(value: float | Array) -> Any:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EveryRingSolution(Solution):
-    """A scene solved ring by ring; start: "slack", "disk" or "motion", see `EveryRing`; disk: what guided the rings."""
+    """A scene solved ring by ring; start: "slack" or "disk", see `EveryRing`; disk: what guided the rings."""
 
     scene: RingScene
     found: FiniteSolution

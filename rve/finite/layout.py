@@ -128,8 +128,10 @@ class FiniteMesh:
         In space, or with all centres in the plane z = 0. Every ring stays out of `walls` with its whole wire. Starts
         from the slack weave; held rings and half-spaces that cut it travel to their places. guide (n, 3): places in mm
         that pull at the centres in the beginning and no more at the end, nan where none does. A local minimum of the
-        potential is found, which need not be the lowest; guide and motion have a part in which. An answer that has
-        not converged is returned with its status. InputError for other shapes, no load, and pieces that nothing holds.
+        potential is found, which need not be the lowest; guide and disturbance have a part in which. Where supports or
+        half-spaces are not reached they move in smaller parts, and in space what does not converge begins again with
+        another disturbance. An answer that has not converged is returned with its status. InputError for other shapes,
+        no load, and pieces that nothing holds.
 
         >>> mesh = FiniteMesh.rectangle(Cell(), 1, 1)
         >>> force, at = np.zeros((5, 3)), np.column_stack([mesh.X, np.zeros(5)])
@@ -140,7 +142,6 @@ class FiniteMesh:
         from rve.finite.problem import Problem
         from rve.finite.solution import as_solution
         from rve.finite.solver import solve_rings
-        from rve.finite.step import rest_by_motion
         from rve.finite.task import FiniteOptions
 
         began, force, at = time.perf_counter(), np.asarray(force, dtype=float), np.asarray(at, dtype=float)
@@ -148,12 +149,15 @@ class FiniteMesh:
         options = options or FiniteOptions()
         problem = Problem(self, force, np.asarray(held, dtype=bool), at, space, tuple(walls), near)
         problem.check()
-        if options.by_motion:
-            found = rest_by_motion(problem, options)
-        else:
-            task = problem.task()
-            found = as_solution(problem, task, solve_rings(task, problem.start(options), options))
-        return replace(found, wall_s=time.perf_counter() - began)
+        task = problem.task()
+        tried: list[FiniteSolution] = []
+        for seed in range(options.seed, options.seed + (options.starts if space else 1)):
+            start = problem.start(replace(options, seed=seed))
+            tried.append(as_solution(problem, task, solve_rings(task, start, options)))
+            if tried[-1].status in ("converged", "out-of-reach"):
+                break
+        found, history = min(tried, key=lambda one: one.kkt_residual), sum((one.history for one in tried), ())
+        return replace(found, history=history, wall_s=time.perf_counter() - began)
 
 
 def cell_of_sides(r1: float, r2: float, sides: tuple[float, float]) -> Cell:

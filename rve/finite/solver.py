@@ -51,8 +51,11 @@ _TRIES = 3
 """Times a step is damped pair by pair before it is shortened."""
 _NEARER = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))
 """Reach from these mu on, in r1: contacts farther away have next to no force, and cost as much as others."""
-_PARTS = (1, 8)
-"""In how many parts held rings are moved: all at once closes gaps for good from some starts (1 of 100 at random)."""
+_PARTS = (1, 8, 40)
+"""In how many parts held rings are moved: larger ones close gaps for good, in 1 of 100 random starts of a sheet hung by
+its corners, and in most that are drawn far together over a floor."""
+_STUCK = 50
+"""Iterations in which held rings must come nearer to their places by 1 %, or count as out of reach."""
 
 
 def solve_rings(task: Task, start: Placed, options: FiniteOptions) -> Found:
@@ -85,14 +88,15 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
     task = replace(task, at=start.x + (whole - start.x) / parts) if parts > 1 else task
     factorize = Factorizer()
     history: list[Record] = []
-    least, finest, ends = np.inf, state, 0
+    least, finest, ends, ways = np.inf, state, 0, list[float]()
     pace, status, is_minimum = Patience(options, len(state.mu)), "iterations", False
     for _ in range(options.max_iterations):
         most = float(state.mu.max())
         tell(f"{len(task.force)} rings, iteration {len(history) + 1}, force x gap {most:.0e} to {options.last:.0e}")
         residual, product = kkt(state, task)
         merit = max(residual, product * options.tolerance / max(options.tolerance, _PRODUCT * options.last))
-        has_arrived = np.abs(task.way_left(state.touching.placed)).max() < 1e-12
+        ways.append(float(np.abs(task.way_left(state.touching.placed)).max()))
+        has_arrived = ways[-1] < 1e-12
         is_last = state.mu <= options.last
         is_end = bool(has_arrived and is_last.all())
         if is_end and merit < options.tolerance:
@@ -112,7 +116,7 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
         is_sliding = pace.lifts.max() < slides and most <= _SLIDING and state.local.max(initial=0.0) >= _DAMPED
         is_calm = ~is_last & (state.gain >= 0.0) & (state.gain < _CALM * state.mu) & (not is_sliding)
         if has_arrived and is_calm.all() and part < parts:
-            part += 1
+            part, ways = part + 1, []
             task = replace(task, at=start.x + (whole - start.x) * part / parts)
             pace, has_arrived = Patience(options, len(state.mu)), False
         is_over = ~is_calm & pace.is_over(options, is_last)
@@ -132,7 +136,8 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
                 state = state.at(task.find(state.touching.placed, reach))
         state, record, is_minimum = _advance(state, task, factorize)
         history.append(record)
-        if len(history) >= 25 and all(one.length < 1e-6 for one in history[-25:]):
+        is_held_up = not has_arrived and len(ways) > _STUCK and ways[-1] > 0.99 * ways[-1 - _STUCK]
+        if is_held_up or (len(history) >= 25 and all(one.length < 1e-6 for one in history[-25:])):
             status = "stalled" if has_arrived else "out-of-reach"
             break
     best = finest if np.isfinite(least) and status != "converged" else state

@@ -6,10 +6,6 @@ A ring that does not spin about its axis moves like two points of its mass: its 
 distance from the centre is the radius of gyration about a diameter. So places y (2 n + b, 3) are those of the centres,
 then of these points, less the centres, then of the centres of b balls, and any difference in time serves for all.
 Iterations are those of `solver`: no gap is closed, no wire passes through another, and links stay as they are.
-
-Rest by motion: the rings move by steps of Euler's, heavily damped, until the equilibrium near them is found. Where the
-kinetic energy falls, the rings have passed an equilibrium and are stopped: dynamic relaxation with kinetic damping.
-Inertia makes the matrix of a step positive definite where that of the rings at rest is not.
 """
 
 from collections.abc import Sequence
@@ -17,16 +13,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rve.common import Array, Flags, tell
+from rve.common import Array, Flags
 from rve.common.rings import gyration_radius
 from rve.finite.equations import gradients, spread
 from rve.finite.layout import FiniteMesh
 from rve.finite.problem import Problem
 from rve.finite.solution import FiniteSolution, as_solution
 from rve.finite.solver import solve_near
-from rve.finite.task import FiniteOptions, Found, Record, RingInertia, Task
+from rve.finite.task import FiniteOptions, Found, RingInertia, Task
 from rve.finite.touching import Touching, find_touching, nearest, of_pairs
-from rve.finite.walls import HalfSpace, Obstacle, RoundBody, flat
+from rve.finite.walls import HalfSpace, Obstacle, RoundBody
 from rve.geometry.ring_pair import cross, rotation
 
 STEP = tuple(
@@ -37,18 +33,6 @@ STEP = tuple(
 a small mu is in short parts, and at a larger one minima of distances split and merge without end: a minimum about to
 split has one force or two beside each other, and there may be no equilibrium with either. The curvature below which
 this is so falls with the root of the gap, so few are left at the end of a path, and others at another end."""
-REST_MU, REST_RETRIES, REST_ITERATIONS = 1e-3, 8, 300
-"""First mu, lifts of mu and iterations with which the equilibrium near a motion is found, or the motion goes on."""
-ROUGH = (FiniteOptions(tolerance=1e-4, retries=0, max_iterations=40, first=1e-4, last=1e-4),)
-"""Those of a step on the way to rest."""
-LONGEST = 0.4
-"""Way in r1 of the fastest ring without contacts in one step, and of a held ring or a half-space."""
-SHORTER, LONGER, LEAST = 0.5, 1.3, 1e-6
-"""Factors on this way after a step that fails, which is taken anew, and after one that does not; and the least one."""
-CALM = 0.02
-"""Way of a ring in a step, in r1, below which the equilibrium is looked for though the rings still fall."""
-MOST_STEPS = 400
-"""Steps until the rings are given up."""
 _STILL = 1e-9
 """Residuals of a step without any force are measured by the force that moves all rings by this part of r1."""
 
@@ -94,11 +78,11 @@ def with_bodies(rings: FiniteSolution, bodies: Sequence[RoundBody]) -> FiniteSol
     return replace(rings, walls=walls, wall_force=wall_force, contacts=contacts)
 
 
-def _without_forces(problem: Problem, centre: Array, normal: Array, status: str = "converged") -> FiniteSolution:
-    """Rings with these centres (n, 3) in mm and normals (n, 3), without forces: at rest, or none of the load borne."""
+def _without_forces(problem: Problem, centre: Array, normal: Array) -> FiniteSolution:
+    """Rings at rest with these centres (n, 3) in mm and normals (n, 3), without forces."""
     task = problem.task(1.0)
     touching = task.find(problem.placed(centre, normal), FiniteOptions.reach)
-    found = Found(touching, np.zeros(len(touching.gap)), status, float(status != "converged"), ())
+    found = Found(touching, np.zeros(len(touching.gap)), "converged", 0.0, ())
     return as_solution(problem, task, found)
 
 
@@ -119,13 +103,7 @@ def step_rings(
     as at the start, half-spaces where they are at the end, balls from where they are at the start. A step that has not
     converged has its status.
     """
-    return _step(Problem(start.mesh, force, held, at, start.is_space, tuple(walls)), start, weight, aim, STEP)
-
-
-def _step(
-    problem: Problem, start: FiniteSolution, weight: Array, aim: Array, tries: Sequence[FiniteOptions]
-) -> RingStep:
-    """`step_rings` to the supports and half-spaces of a problem."""
+    problem = Problem(start.mesh, force, held, at, start.is_space, tuple(walls))
     mesh, r1, n = start.mesh, start.mesh.cell.r1, len(start.centre)
     inert = weight[:, None] * np.abs(aim - ring_places(start))
     load = float(np.abs(problem.force).sum() + np.abs([wall.load for wall in problem.walls]).sum() + inert.sum())
@@ -143,7 +121,7 @@ def _step(
     task = replace(task, inertia=inertia, beside=False)
     placed = replace(problem, walls=start.walls).placed(start.centre, start.normal)
     touching = find_touching(placed, task.linked, task.wire, FiniteOptions.reach)
-    for options in tries:
+    for options in STEP:
         tuned = replace(options, tolerance=max(options.tolerance, least))
         found = solve_near(task, touching, _forces(start, task, touching, options.first), tuned)
         if found.status == "converged":
@@ -157,57 +135,6 @@ def _step(
     axes = cross(torque, rings.normal) / radius + drawn[:, None] * rings.normal
     every = np.concatenate([pushes[:n, :3], axes, pushes[loose, :3]])
     return RingStep(rings, every, task.unit * r1 * float(found.force @ closed))
-
-
-def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
-    """The equilibrium in which a damped motion from the slack weave ends; see `FiniteMesh.solve`."""
-    r1, placed = problem.mesh.cell.r1, problem.start(options)
-    ends, r2 = flat(problem.walls), problem.mesh.cell.r2
-    planes = zip(ends, placed.x[placed.rings :], strict=True)
-    cut = tuple(replace(wall, offset=r1 * float(wall.unit @ p) - r2) for wall, p in planes)
-    start = replace(problem, walls=cut)
-    rings = _without_forces(start, r1 * placed.x[: placed.rings], placed.normal[: placed.rings])
-    size = np.tile(np.linalg.norm(problem.force, axis=1), 2)
-    load = np.maximum(size, size.mean())  # masses times 1 mm/s2: on the way to rest they may be any
-    share, v, energy = 1.0, np.zeros((len(load), 3)), 0.0
-    own = replace(options, first=REST_MU, retries=REST_RETRIES, max_iterations=REST_ITERATIONS)
-    found, part, history = None, 0.0, tuple[Record, ...]()
-    for number in range(MOST_STEPS):
-        tell(f"{placed.rings} rings on their way to rest, step {number + 1}")
-        way = np.where(problem.held, problem.at - rings.centre, 0.0)
-        planes_now = flat(rings.walls)
-        walls_way = np.array([to.offset - now.offset for to, now in zip(ends, planes_now, strict=True)])
-        longest = max(np.abs(way).max(initial=0.0), np.abs(walls_way).max(initial=0.0))
-        part = min(1.0, share * LONGEST * r1 / max(float(longest), 1e-300))
-        speed = float(np.linalg.norm(v, axis=1).max())
-        h = (np.sqrt(speed**2 + 4.0 * share * LONGEST * r1) - speed) / 2.0
-        walls = [replace(w, offset=w.offset + part * d) for w, d in zip(planes_now, walls_way, strict=True)]
-        places = ring_places(rings)
-        there = replace(problem, at=rings.centre + part * way, walls=tuple(walls))
-        end = _step(there, rings, load / h**2, places + h * v, ROUGH).rings
-        history += end.history
-        if end.status != "converged":
-            share, v = SHORTER * share, np.zeros_like(v)
-            if share < LEAST:
-                break
-            continue
-        rings, moved = end, ring_places(end) - places
-        kinetic = float((load[:, None] * moved**2).sum()) / h**2
-        is_past = kinetic < energy
-        v, energy = (0.0 * v, 0.0) if is_past else (moved / h, kinetic)
-        if part == 1.0 and (is_past or np.abs(moved).max() < CALM * r1):
-            task = problem.task()
-            touching = task.find(problem.placed(rings.centre, rings.normal), options.reach)
-            near = solve_near(task, touching, _forces(rings, task, touching, own.first), own)
-            found = as_solution(problem, task, near)
-            history += found.history
-            if found.status == "converged":
-                break
-        share = min(1.0, LONGER * share)
-    if found is None:  # the motion has never come near to rest
-        status = "iterations" if part == 1.0 else "out-of-reach"
-        found = _without_forces(replace(problem, walls=tuple(flat(rings.walls))), rings.centre, rings.normal, status)
-    return replace(found, history=history)
 
 
 def _forces(start: FiniteSolution, task: Task, touching: Touching, mu: float) -> Array:

@@ -35,8 +35,8 @@ class FiniteOptions:
     not fall by 30 % after which mu, the product of force and gap, is lifted, at most `retries` times before `stalled`.
     first, last: mu at the start and at the end.
     reach: gap beyond which a contact has no force.
-    disturbance, seed: size of the random numbers added to z at the start in space, so that folds may form.
-    by_motion: whether the rings move to rest, damped, before the equilibrium near them is looked for.
+    disturbance, seed, starts: size and seed of the random numbers added to z at the start in space, so that folds may
+    form, and how many seeds, one after the other, are tried where a path does not converge.
     """
 
     tolerance: float = 1e-8
@@ -46,9 +46,9 @@ class FiniteOptions:
     max_iterations: int = 1000
     disturbance: float = 0.01
     seed: int = 0
+    starts: int = 2
     first: float = 0.1
     last: float = 1e-9
-    by_motion: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,6 @@ and a half-space is a ball of infinite radius. Either is kept as one more row of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -79,11 +78,6 @@ class RoundBody:
 
 
 Obstacle = HalfSpace | RoundBody
-
-
-def flat(walls: Sequence[Obstacle]) -> list[HalfSpace]:
-    """The half-spaces among them."""
-    return [wall for wall in walls if isinstance(wall, HalfSpace)]
 
 
 def wall_gaps(x: Array, normal: Array, place: Array, m: Array, radius: Array) -> Array:
