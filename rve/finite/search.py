@@ -30,21 +30,17 @@ def search(now: Iteration, step: Step, *, is_last: bool) -> tuple[Touching | Non
     length = min(1.0, float(step.safe.min()), float(open_.min(initial=1.0)))
     new = None
     while length > 1e-9:
-        new, why, bad = _try_part(now, step, length)
+        new, closing = _try_part(now, step, length)
         if new is not None:
             break
-        if why == "gap" and not is_last:
+        if len(closing) and not is_last:
             # More damping for the pairs whose gaps would close; for all where one of them was not near before.
-            rows = of_pairs(now.con.key, bad)
-            local, damping = now.state.local.copy(), now.state.damping
-            known = rows[rows >= 0]
+            known = of_pairs(now.con.key, closing)
+            known, local, damping = known[known >= 0], now.state.local.copy(), now.state.damping
             local[known] = np.maximum(30.0 * local[known], 5.0)
-            if len(known) < len(bad) or not len(bad):
+            if len(known) < len(closing):
                 damping = max(4.0 * damping, 1e-2)
             now.state = replace(now.state, local=local, damping=damping)
-            return None, 0.0
-        if why == "rise" and not is_last and length < 0.3:
-            now.state = replace(now.state, damping=max(4.0 * now.state.damping, 1e-3))
             return None, 0.0
         length *= 0.5
     local = np.where(step.safe < 0.5, np.maximum(2.0 * now.state.local, 0.1), 0.4 * now.state.local)
@@ -52,11 +48,9 @@ def search(now: Iteration, step: Step, *, is_last: bool) -> tuple[Touching | Non
     return new, length
 
 
-def _try_part(now: Iteration, step: Step, length: float) -> tuple[Touching | None, str, Index]:
-    """The contacts after a part of the step, corrected for what known contacts fall short of.
-
-    None where it is no good; then why ("gap", "way", "link", "rise") and the keys of the pairs whose gaps would close.
-    """
+def _try_part(now: Iteration, step: Step, length: float) -> tuple[Touching | None, Index]:
+    """The contacts after a part of the step, corrected for what known contacts fall short of, None where it is no good;
+    and the keys of the pairs whose gaps would close."""
     con, task = now.con, now.task
     q, forecast = length * step.q, con.gap + length * step.dgap
     before = np.minimum(con.deepest, con.reach)
@@ -66,26 +60,20 @@ def _try_part(now: Iteration, step: Step, length: float) -> tuple[Touching | Non
         now.trials += 1
         placed = con.placed.moved(q)
         gap = followed_gaps(con, placed)
-        if (gap >= least).all():
-            break
         last, closed = closed, np.unique(con.key[con.minima.pair[gap < least]])
+        if not len(closed):
+            break
         if turn and len(closed) >= len(last):
-            return None, "gap", closed
+            return None, closed
         q = q + now.answer(step, -step.stiff * np.minimum(gap - forecast, 0.0))
     else:
-        return None, "gap", closed
+        return None, closed
     found = task.find(placed, con.reach)
     row = of_pairs(con.key, found.key)
-    closing = found.deepest < _LEAST * np.where(row >= 0, before[row], con.reach)
-    if closing.any():
-        return None, "gap", found.key[closing]
-    if not is_passage_safe(con, found, q):
-        return None, "way", closed
-    if not links_intact(found, task.keys):
-        return None, "link", closed
-    if not now.is_moving and not _fell(now, found, length * step.slope):
-        return None, "rise", closed
-    return found, "", closed
+    closed = found.key[found.deepest < _LEAST * np.where(row >= 0, before[row], con.reach)]
+    is_good = not len(closed) and is_passage_safe(con, found, q) and links_intact(found, task.keys)
+    is_good = is_good and (now.is_moving or _fell(now, found, length * step.slope))
+    return found if is_good else None, closed
 
 
 def _fell(now: Iteration, new: Touching, slope: float) -> bool:
