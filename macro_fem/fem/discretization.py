@@ -2,11 +2,6 @@
 
 The point p is the leading axis, p = q * n_cells + cell for quadrature point q. Nodal fields are (n_nodes, d). Other
 points of cells are rows (m, n_nodes) of shares of the nodes: for nodes at x (n_nodes, d) they are at points @ x.
-
-Example:
-    >>> disc = discretize(skfem.MeshTri.init_tensor(np.linspace(0, 2, 5), np.linspace(0, 1, 3)), "P2")
-    >>> disc.n_cells, disc.n_points, round(float(disc.weight.sum()), 12)
-    (16, 48, 2.0)
 """
 
 from dataclasses import dataclass

@@ -181,10 +181,7 @@ def read_kept(path: Path, mover: AnyMover, of: str) -> tuple[list[Any], list[Any
     if not path.exists():
         raise InputError(f"--continue: {path} is missing: there is no run to go on with")
     record = path.with_name(RECORD)
-    try:
-        check_belongs(path, record, read_json_object(record), "run again without --continue")
-    except (OSError, InputError) as error:
-        raise InputError(f"--continue: {path} is not what a run has kept: run again without it") from error
+    check_belongs(path, record, read_json_object(record), "run again without --continue")
     with np.load(path, allow_pickle=False) as file:
         kept = {name: one if one.ndim else one.item() for name, one in file.items()}
     if kept.pop("of") != of:

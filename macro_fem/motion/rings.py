@@ -22,7 +22,7 @@ from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.scene import Scene
 from rve import FiniteSolution, HalfSpace, RoundBody, ring_places, slack_rings, step_rings, with_bodies
-from rve.common import Array, InputError, NotConverged, digits
+from rve.common import Array, NotConverged, digits
 
 NEAR = 1e-6
 """Rings within this part of r1 of where supports hold them are there."""
@@ -92,18 +92,16 @@ class MovingRings(Mover[RingFrame, RingScene]):
         Supports that let go at t = 0 hold nothing then.
         """
         asked, scene = self.at(self.near), self.scene
-        where = f"{scene.source}: [motion] start = 'reference'"
+        where = "[motion] start = 'reference'"
         if asked.scene.in_space and not self.who.space:
             scene.refuse(f"{asked.scene.space_reason}: centres cannot stay there")
         rings = slack_rings(asked.mesh, space=self.who.space, walls=asked.walls)
         away = float(np.abs(np.where(asked.held, asked.at - rings.centre, 0.0)).max(initial=0.0))
         if away > NEAR * asked.mesh.cell.r1:
-            raise InputError(
-                f"{where}: supports hold rings up to {digits(away, 4)} mm from where they are in the slack weave; use "
-                "'hung'"
-            )
+            off = f"{digits(away, 4)} mm from where they are in the slack weave"
+            scene.refuse(f"{where}: supports hold rings up to {off}; use 'hung'")
         if rings.contacts.min_gap_mm <= 0.0:
-            raise InputError(f"{where}: a floor or wall cuts the slack weave; move it away")
+            scene.refuse(f"{where}: a floor or wall cuts the slack weave; move it away")
         return rings
 
     def frame_of(self, rings: FiniteSolution) -> RingFrame:

@@ -49,9 +49,8 @@ def write_page(path: AnyPath, draw: Callable[[], Plotter], title: str) -> None:
 def write_moments(path: AnyPath, moments: Iterable[tuple[str, Plotter]], title: str) -> None:
     """Write what a plotter shows at several moments, each with its name, as one HTML file with a slider, atomically.
 
-    The plotter may be the same one, drawn anew for each moment. InputError if plotly is missing.
+    The plotter may be the same one, drawn anew for each moment.
     """
-    check_page(str(path))
     import plotly.graph_objects as go
 
     figure, words, bounds = go.Figure(layout=LAYOUT), list[str](), []

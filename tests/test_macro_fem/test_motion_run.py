@@ -215,7 +215,7 @@ def test_a_run_writes_its_files_and_goes_on_as_if_it_had_not_ended(tmp_path):
         kept.write_bytes(broken)
         kept.with_name("summary.json").write_text(json.dumps({"files": sums}))
         again = CliRunner().invoke(main, ["run", str(whole), "--out", str(tmp_path / "two"), "--continue"])
-        assert (again.exit_code, "is not what a run has kept" in again.output) == (2, True)
+        assert (again.exit_code, "run again without --continue" in again.output) == (2, True)
 
 
 def test_a_stopped_run_keeps_its_steps_and_ends_with_130(tmp_path, monkeypatch):
