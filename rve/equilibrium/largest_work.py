@@ -32,12 +32,10 @@ from rve.geometry.pose import Pose, mirrored, strain_of, tiled
 GAIN = 1e-9
 """Work at unit trace of S by which a state must exceed another to count as a better one; round-off leaves 1e-12."""
 NEIGHBOURS, NEAR = 8, 0.25
-"""The locked states of so many loads nearest to a load are compared with its own, up to this distance in the disc of
-loads of unit trace."""
-WORK_NOISE, SAME_BRANCH_RATIO = 1e-7, 0.5
-"""Two states i, j of one smooth branch lose about the same work under each other's load: S_i:(E_i - E_j) and
-S_j:(E_j - E_i) agree to second order in the distance. Where one is above the noise and the other less than this share
-of it, i is restarted from j."""
+"""A load is restarted from the locked states of so many loads nearest to it, up to this distance in the disc of loads
+of unit trace."""
+SAME_STATE = 1e-7
+"""Differences of strain up to which two states are one."""
 ROUNDS = 6
 """Rounds of restarts at most; a load that is still below a known state then has the status "below"."""
 VICINITY = 0.15
@@ -163,21 +161,16 @@ def _with_random_starts(best: Largest, near: Array) -> Largest:
 
 
 def _with_neighbours(best: Largest, states: KnownStates) -> Largest:
-    """The best states after restarts from those of near loads that are not of the same smooth branch."""
+    """The best states after restarts from those of near loads whose strain is another one."""
     distance = np.linalg.norm(disc(best.S)[:, None] - disc(states.S)[None], axis=2)
     own = strain_of(best.found.pose, best.mesh.sides)
-    distance[np.abs(own[:, None] - states.E[None]).max(axis=2) < WORK_NOISE] = np.inf
-    source = np.argsort(distance, axis=1, kind="stable")[:, :NEIGHBOURS].ravel()
-    rows = np.repeat(np.arange(len(best.S)), len(source) // len(best.S))
-    E = own[rows] - states.E[source]
-    there, back = double_dot(best.S[rows], E), -double_dot(states.S[source], E)
-    least, most = np.minimum(there, back), np.maximum(there, back)
-    near = (distance[rows, source] < NEAR) & np.isfinite(best.h[rows])
-    keep = near & (most > WORK_NOISE) & (least < SAME_BRANCH_RATIO * most)
-    rows, source = rows[keep], source[keep]
+    is_other = np.abs(own[:, None] - states.E[None]).max(axis=2) > SAME_STATE
+    distance[~(is_other & (distance < NEAR) & np.isfinite(best.h)[:, None])] = np.inf
+    source = np.argsort(distance, axis=1, kind="stable")[:, :NEIGHBOURS]
+    rows, place = np.nonzero(np.isfinite(np.take_along_axis(distance, source, axis=1)))
     if not len(rows):
         return best
-    start = states.pose.take(source)
+    start = states.pose.take(source[rows, place])
     return best.raised(rows, restart(best.S[rows], best.mesh.dead, start, NEAR_MARGIN, best.mesh.options), "neighbour")
 
 

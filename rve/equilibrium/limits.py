@@ -161,7 +161,5 @@ def with_limits(
     found = replace(found, status=np.where(unique, found.status, "no-limit").astype("<U16"))
     found = found.put(rows[good], limit.take(np.flatnonzero(good)))
     reached = rows[good & stalled[rows]]
-    if len(reached):
-        free = reached[~strain_is_unique(equations, found.take(reached), s[reached])]
-        unique = unique & ~np.isin(np.arange(len(s)), free)
+    unique[reached] = strain_is_unique(equations, found.take(reached), s[reached])
     return found, unique
