@@ -10,6 +10,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from rve.common import Array, Flags
+from rve.common.tensor import IDENTITY, eigenvalues
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
 from rve.equilibrium.system import Equations, System
 from rve.geometry.contacts import CellContacts
@@ -56,10 +57,8 @@ def limit_equilibrium(s: Array, equations: Equations, options: DirectOptions) ->
     of rings is closed that carries more than 1e-3 of the last one in it. Status "no-limit" where Newton's method does
     not confirm that.
     """
-    mean, half = 0.5 * (s[:, 0] + s[:, 2]), 0.5 * (s[:, 0] - s[:, 2])
-    radius = np.hypot(half, s[:, 1])
-    n1 = np.stack([radius + half, s[:, 1], radius - half], axis=1) / np.maximum(2.0 * radius, 1e-300)[:, None]
-    inward = (mean + radius)[:, None] * (np.array([1.0, 0.0, 1.0]) - n1)
+    low, high = eigenvalues(s)
+    inward = (high / np.maximum(high - low, 1e-300))[:, None] * (high[:, None] * IDENTITY - s)
     start, early, iterations = None, replace(options, attempts=1), np.zeros(len(s), dtype=int)
     for size in _ON_WAY:
         mu = 1e-3 * size
