@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rve.common import Array, Flags, Index, Rows, tell
 from rve.common.tensor import WEIGHT, double_dot
-from rve.equilibrium.dead_load import MARGINS, LoadedCell, follow_promising, random_poses, restart, restart_patiently
+from rve.equilibrium.dead_load import MARGINS, LoadedCell, random_poses, restart, restart_patiently, solve_dead
 from rve.equilibrium.interior_point import Equilibrium, LockedStates
 from rve.equilibrium.largest_work import GAIN, ROUNDS, KnownStates, Largest, climbed, largest, states_beyond
 from rve.equilibrium.limits import strain_is_unique
@@ -114,15 +114,15 @@ def _best_mixtures(s: Array, states: KnownStates, mesh: LoadedCell) -> tuple[lis
 
 def _dead_states(good: RowStates, mesh: LoadedCell) -> KnownStates:
     """Locked states under the S of some rows as dead loads, from the slack pose and from a random admissible pose each,
-    or two for weaves without images; only those whose paths promise more work than their own row's.
+    or two for weaves without images.
     """
     thin = good.S[:, 0] * good.S[:, 2] - good.S[:, 1] ** 2 < 1e-6
     sample = good.take(thin | (np.arange(len(thin)) % SAMPLE == 0))
     n, tries = len(sample.S), 2 if mesh.dead.weave.has_images else 3
-    S, E = np.tile(sample.S, (tries, 1)), np.tile(sample.E, (tries, 1))
+    S, once = np.tile(sample.S, (tries, 1)), replace(mesh.options, attempts=1)
     start = start_pose(mesh.dead.weave, n).join([random_poses(mesh.dead, n * (tries - 1))])
-    pick, found = follow_promising(S, E, mesh, start)
-    return KnownStates.of(mesh, found, S[pick], found.status == "converged")
+    found = solve_dead(S, mesh.dead, once, start)
+    return KnownStates.of(mesh, found, S, found.status == "converged")
 
 
 def _missing_work(rows: RowStates, states: KnownStates) -> Array:

@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from rve.common import Array, Index
-from rve.common.tensor import double_dot, trace
+from rve.common import Array
+from rve.common.tensor import trace
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
 from rve.equilibrium.limits import polish, shortest
 from rve.equilibrium.system import Equations, on_coordinates
 from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.contacts import parallel_clearance
 from rve.geometry.kinematics import deformation_gradient, second_pk
-from rve.geometry.pose import Pose, start_pose, strain_of
+from rve.geometry.pose import Pose, start_pose
 
 MARGINS = (1e-4, 1e-6)
 """Gaps of a restart in r1, tried in turn. Wider ones converge faster, but may slide into a state of less work."""
@@ -33,14 +33,6 @@ WALK, STRIDE = 20, 0.12
 """Steps of a random walk from the slack pose, and the largest of them in r1 and radians."""
 START_GAP = 1e-3
 """Gaps in r1 that random poses keep."""
-PROBE, SAME_STRAIN = 1e-4, 5e-3
-"""Complementarity mu at which a path is compared with the state that is known, and the difference of strains up to
-which it leads there."""
-PROBE_PATIENCE, PROBE_STEPS = 5, 50
-"""Patience on the way to mu = PROBE, and iterations beyond the 50 that every dead load gets: paths that wander hold up
-the batch."""
-MIN_GAIN = 0.5
-"""Contacts by which the work on a path must be nearer to that of the known state than a path to equal work would be."""
 
 
 @dataclass(frozen=True)
@@ -154,23 +146,6 @@ def restart_patiently(
         good = np.flatnonzero(near.status == "converged")
         found = found.put(left[good], near.take(good))
     return found
-
-
-def follow_promising(S: Array, E: Array, mesh: LoadedCell, start: Pose) -> tuple[Index, Equilibrium]:
-    """Cases whose paths from `start` under the dead loads S (n, 3) of unit trace promise more work than the strains E,
-    and their ends. On a path every loaded contact (lam > gap) takes mu from the work at the end, to first order.
-    """
-    once = replace(mesh.options, attempts=1)
-    patience, most = min(PROBE_PATIENCE, once.patience), min(PROBE_STEPS, once.max_iterations)
-    probe = replace(once, mu_end=PROBE, tolerance=PROBE, patience=patience, max_iterations=most)
-    path = solve_dead(S, mesh.dead, probe, start)
-    short = E - strain_of(path.pose, mesh.sides)
-    far = np.abs(short).max(axis=1) > SAME_STRAIN
-    loaded = ((path.lam > path.contacts.gap) & path.contacts.present).sum(axis=(1, 2))
-    missing = mesh.sides[0] * mesh.sides[1] * double_dot(unit_loads(S), short) / PROBE
-    pick = np.flatnonzero(far & (missing < loaded - MIN_GAIN) & (path.status == "converged"))
-    found = path.take(pick)
-    return pick, solve_dead(S[pick], mesh.dead, replace(once, mu_start=PROBE), found.pose) if len(pick) else found
 
 
 def random_poses(equations: Equations, count: int) -> Pose:

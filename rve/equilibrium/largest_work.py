@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common import Array, Flags, Index, Rows
-from rve.common.tensor import IDENTITY, WEIGHT, disc, double_dot, mirror
+from rve.common.tensor import WEIGHT, disc, double_dot, mirror
 from rve.equilibrium.dead_load import (
     MARGINS,
     NEAR_MARGIN,
     STARTS,
     LoadedCell,
-    follow_promising,
     random_poses,
     restart,
     solve_dead,
@@ -155,9 +154,9 @@ def _with_random_starts(best: Largest, near: Array) -> Largest:
     mesh = best.mesh
     about = (np.linalg.norm(disc(best.S)[:, None] - disc(near)[None], axis=2) < VICINITY).sum(axis=1)
     rows = np.repeat(np.arange(len(best.S)), -(-STARTS // np.maximum(about, 1)))
-    E = np.where(np.isfinite(best.h)[:, None], strain_of(best.found.pose, mesh.sides), -NO_WORK * IDENTITY)
-    pick, new = follow_promising(best.S[rows], E[rows], mesh, random_poses(mesh.dead, len(rows)))
-    return best.raised(rows[pick], new, "random")
+    once = replace(mesh.options, attempts=1)
+    new = solve_dead(best.S[rows], mesh.dead, once, random_poses(mesh.dead, len(rows)))
+    return best.raised(rows, new, "random")
 
 
 def _with_neighbours(best: Largest, states: KnownStates) -> Largest:
