@@ -31,13 +31,13 @@ from macro_fem.job import solve_membrane
 from macro_fem.motion.stage import TONNE, masses_of, mesh_masses, pushed_points, scene_at
 from macro_fem.output.images import save_picture
 from macro_fem.output.pictures import Pictures
-from macro_fem.output.space_view import add_length, add_supports, below
+from macro_fem.output.space_view import add_supports
 from macro_fem.scene.supports import build_supports
 from macro_fem.scene.tables import Bar, Wind
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError, NotConverged, job, versions
 from rve.common.drawing.plane import Scale
-from rve.common.drawing.space import THREE_QUARTERS, add, look, new_plotter, surface
+from rve.common.drawing.space import THREE_QUARTERS, add, add_length, below, look, new_plotter, surface
 from rve.common.files import write_mesh_file
 
 CARRIES = 1e-6

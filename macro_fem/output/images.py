@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from ctypes import CDLL
-from ctypes.util import find_library
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rve.common import InputError, atomic_path, require, tell
+from rve.common import atomic_path, tell
 from rve.common.drawing.plane import Scale
 from rve.common.drawing.space import new_plotter
 from rve.common.optional import Figure, Plotter, PolyData
@@ -20,21 +17,6 @@ Draw = Callable[[Plotter], Plotter]
 """Draws into the active panel of a plotter, which it returns."""
 FRAME_MS, LAST_MS = 120, 1500
 """How long a frame of an animation is shown, and its last one."""
-
-
-def check_render(purpose: str, instead: str = "ask for --no-picture") -> None:
-    """InputError if pyvista is missing, or the system has no OpenGL that draws without a screen.
-
-    VTK ends the interpreter when the library of the last kind of window that it tries is missing.
-    """
-    require("pyvista", "three-d", purpose, instead)
-    try:
-        window: Any = new_plotter().render_window
-        if window.GetClassName() == "vtkOSOpenGLRenderWindow":
-            CDLL(find_library("OSMesa") or "libOSMesa.so")
-    except (ImportError, OSError, RuntimeError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"{purpose} needs OpenGL ({reason}): install libosmesa6, or {instead}") from error
 
 
 def parts(plotter: Plotter, panel: int = 0) -> dict[str, tuple[PolyData, Any, Scale | None]]:
@@ -71,16 +53,16 @@ def compose(plotter: Plotter, title: str) -> Figure:
     return figure
 
 
-def save_picture(path: str | os.PathLike[str], plotter: Plotter, title: str) -> None:
+def save_picture(path: Path, plotter: Plotter, title: str) -> None:
     """Write the composed picture of a plotter as PNG, atomically."""
-    tell(f"drawing {Path(path).name}")
+    tell(f"drawing {path.name}")
     figure = compose(plotter, title)
     plotter.close()
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png")
 
 
-def save_panels(path: str | os.PathLike[str], views: Sequence[Draw], title: str) -> None:
+def save_panels(path: Path, views: Sequence[Draw], title: str) -> None:
     """Write views side by side beneath a title as PNG, atomically."""
     plotter = new_plotter(len(views))
     for panel, draw in enumerate(views):
@@ -98,12 +80,12 @@ def in_turn(views: Iterable[tuple[str, Draw]]) -> Iterator[tuple[str, Plotter]]:
     plotter.close()
 
 
-def save_animation(path: str | os.PathLike[str], drawn: Iterable[tuple[str, Plotter]]) -> None:
+def save_animation(path: Path, drawn: Iterable[tuple[str, Plotter]]) -> None:
     """Write what a plotter shows in turn, each beneath its title, as an animation (GIF) that repeats, atomically."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
-    tell(f"drawing {Path(path).name}")
+    tell(f"drawing {path.name}")
     frames = []
     for words, plotter in drawn:
         figure = compose(plotter, words)

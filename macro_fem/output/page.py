@@ -28,10 +28,7 @@ RIGHT = 0.92
 """Share of the page's width at which the scene ends; bars of colours stand left of it."""
 LAYOUT: dict[str, Any] = {"margin": {"l": 0, "r": 0, "b": 0, "t": 70}, "font": {"family": "sans-serif"}}
 LEGEND = {"x": 0.01, "y": 0.98, "bgcolor": "rgba(255,255,255,0.7)"}
-LIT: dict[str, Any] = {
-    "lighting": {"ambient": 0.6, "diffuse": 0.7, "specular": 0.1, "roughness": 0.6, "fresnel": 0.05},
-    "lightposition": {"x": 1e5, "y": 3e4, "z": 1e5},
-}
+LIT = {"lighting": {"ambient": 0.6, "diffuse": 0.7, "specular": 0.1, "roughness": 0.6, "fresnel": 0.05}}
 
 
 def check_page(purpose: str, instead: str = "ask for none") -> None:

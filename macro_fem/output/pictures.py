@@ -11,7 +11,7 @@ import numpy as np
 from macro_fem.fem.cells import mean_at_corners
 from macro_fem.output import space_view, strength
 from macro_fem.output.forces import FORCES
-from macro_fem.output.images import check_render, in_turn, save_animation, save_panels
+from macro_fem.output.images import in_turn, save_animation, save_panels
 from macro_fem.output.page import check_page, write_page
 from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution
@@ -48,7 +48,7 @@ class Pictures:
             if is_asked:
                 require("matplotlib", "plots", f"{self.stem}.{ending}", instead)
                 if in_space or ending == "gif" or (scene is not None and scene.in_space):
-                    check_render(f"{self.stem}.{ending}", instead)
+                    space.check_render(f"{self.stem}.{ending}", instead)
         if self.html:
             check_page(f"{self.stem}.html", "leave out --html")
         if self.animation and scene is not None and scene.load.steps < 2 and scene.motion is None:

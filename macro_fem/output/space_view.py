@@ -18,13 +18,11 @@ from macro_fem.scene.tables import in_3d
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, digits
 from rve.common.drawing import space
-from rve.common.drawing.plane import Scale, rounded_up
+from rve.common.drawing.plane import Scale
 from rve.common.optional import Plotter, PolyData
 
 HELD, TRACK = "#1f4e79", "#4a4f57"
 GROUND, SHADOW = "#ebedf0", "#cdd2d8"
-MEASURE = "#8d96a1"
-"""Colour of what stands or lies beside for the scale."""
 LEAST_FOR_PERSON = 1000.0
 """Scenes of this size in mm and larger are shown beside a person, smaller ones beside a bar of a round length."""
 PERSON_MM = 1750.0
@@ -184,19 +182,6 @@ def add_supports(plotter: Plotter, solution: CurtainSolution, size: float) -> No
         space.add(plotter, name, space.balls(np.concatenate(places), 0.006 * size), HELD)
 
 
-def below(points: Array) -> Array:
-    """A place a little below points (n, 3), at their left and in front of them, so that they do not hide it."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    return np.array([low[0], low[1] - 0.06 * np.linalg.norm(high - low), high[2]])
-
-
-def add_length(plotter: Plotter, start: Array, size: float) -> None:
-    """Add a line of a round length along x from `start` (3,), beside what has this size in mm."""
-    length = rounded_up(0.12 * size)
-    ends = start + np.array([[0.0, 0.0, 0.0], [length, 0.0, 0.0]])
-    space.add(plotter, f"length of {length:g} mm", space.lines(ends[None]), MEASURE, line_width=9)
-
-
 def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: PictureFrame, ground: float) -> None:
     """Ground, the curtain's shadow on it, and a person for the scale, or a bar before a small curtain."""
     import pyvista
@@ -212,9 +197,9 @@ def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: PictureFrame, 
         feet, radius, length = foot - [0.4 * PERSON_MM, 0.0, 0.0], 0.08 * PERSON_MM, 0.68 * PERSON_MM
         body = pyvista.Capsule(center=feet + 0.42 * up, direction=up, radius=radius, cylinder_length=length)
         head = pyvista.Sphere(radius=0.065 * PERSON_MM, center=feet + 0.93 * up)
-        space.add(plotter, "person, 1.75 m", body + head, MEASURE)
+        space.add(plotter, "person, 1.75 m", body + head, space.MEASURE)
     else:
-        add_length(plotter, foot + np.array([0.0, 0.006 * size, 0.0]), size)
+        space.add_length(plotter, foot + np.array([0.0, 0.006 * size, 0.0]), size)
     space.add(plotter, "_shadow", shadow, SHADOW, **space.FLAT)
     thrown = box + max(box[1, 1] - ground, 0.0) * LIGHT  # the patch is as large in all pictures of a series
     beside = foot - [[0.5 * PERSON_MM if is_large else 0.0, 0.0, 0.0]]

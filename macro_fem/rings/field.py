@@ -13,11 +13,10 @@ from macro_fem.fem.cells import padded
 from macro_fem.output.images import save_picture
 from macro_fem.output.page import write_page
 from macro_fem.output.pictures import Pictures
-from macro_fem.output.space_view import add_length, below
 from macro_fem.rings.curtain import Curtain, Sites
 from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestPoses
 from rve.common import Array, Index, csv_text, digits, job, versions, write_text
-from rve.common.drawing.space import THREE_QUARTERS, add, lines, look, new_plotter
+from rve.common.drawing.space import THREE_QUARTERS, add, add_length, below, lines, look, new_plotter
 from rve.common.optional import Axes, Plotter
 
 RECORD = "localize.json"

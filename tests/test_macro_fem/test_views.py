@@ -49,9 +49,9 @@ def test_a_picture_is_made_and_is_not_empty(tmp_path):
 
 def test_a_missing_library_of_opengl_is_told_in_one_sentence():
     """VTK tries X, EGL and OSMesa in turn, and would end the interpreter without the last one."""
-    code = "import macro_fem.output.images as images; images.find_library = lambda name: 'libnothing.so'\n"
+    code = "import rve.common.drawing.space as space; space.find_library = lambda name: 'libnothing.so'\n"
     code += "from rve.common.errors import InputError\n"
-    code += "try:\n    images.check_render('curtain.png')\nexcept InputError as error:\n    print(error)"
+    code += "try:\n    space.check_render('curtain.png')\nexcept InputError as error:\n    print(error)"
     hidden = {"VTK_DEFAULT_OPENGL_WINDOW": "vtkOSOpenGLRenderWindow"}
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ | hidden)
     assert run.returncode == 0

@@ -6,13 +6,15 @@ Coordinates are mm and the second axis points up. The name of an actor is its te
 
 from __future__ import annotations
 
+from ctypes import CDLL
+from ctypes.util import find_library
 from itertools import product
 from typing import Any
 
 import numpy as np
 
-from rve.common.drawing.plane import OVER, Scale
-from rve.common.errors import require
+from rve.common.drawing.plane import OVER, Scale, rounded_up
+from rve.common.errors import InputError, require
 from rve.common.optional import Plotter, PolyData
 from rve.common.records import Array
 
@@ -22,6 +24,8 @@ FRONT, THREE_QUARTERS = (0.0, -0.12, -1.0), (-0.75, -0.45, -1.0)
 MARGIN = 1.04
 BODY, BODY_OPACITY = "#c9b18f", 0.75
 """Colour of bodies that a mesh meets, and how much they hide."""
+MEASURE = "#8d96a1"
+"""Colour of what stands or lies beside for the scale."""
 MATT: dict[str, Any] = {"ambient": 0.4, "diffuse": 0.7, "specular": 0.1, "smooth_shading": True}
 FLAT: dict[str, Any] = {"lighting": False, "ambient": 0.0, "diffuse": 1.0, "specular": 0.0}
 
@@ -36,6 +40,21 @@ def new_plotter(panels: int = 1) -> Plotter:
     plotter = pyvista.Plotter(off_screen=True, shape=shape, border=False, window_size=size, lighting="light kit")
     plotter.set_background("white")  # type: ignore[arg-type]
     return plotter
+
+
+def check_render(purpose: str, instead: str = "ask for --no-picture") -> None:
+    """InputError if pyvista is missing, or the system has no OpenGL that draws without a screen.
+
+    VTK ends the interpreter when the library of the last kind of window that it tries is missing.
+    """
+    require("pyvista", "three-d", purpose, instead)
+    try:
+        window: Any = new_plotter().render_window
+        if window.GetClassName() == "vtkOSOpenGLRenderWindow":
+            CDLL(find_library("OSMesa") or "libOSMesa.so")
+    except (ImportError, OSError, RuntimeError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"{purpose} needs OpenGL ({reason}): install libosmesa6, or {instead}") from error
 
 
 def add(plotter: Plotter, name: str, mesh: PolyData, colour: str | Scale, **style: Any) -> None:
@@ -95,6 +114,19 @@ def arrows(tails: Array, vectors: Array, least: float = 0.0) -> PolyData:
     ends["along"], ends["length"] = vectors[drawn], length[drawn]
     shape = pyvista.Arrow(tip_length=0.25, tip_radius=0.06, shaft_radius=0.022)
     return ends.glyph(geom=shape, orient="along", scale="length")
+
+
+def below(points: Array) -> Array:
+    """A place a little below points (n, 3), at their left and in front of them, so that they do not hide it."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    return np.array([low[0], low[1] - 0.06 * np.linalg.norm(high - low), high[2]])
+
+
+def add_length(plotter: Plotter, start: Array, size: float) -> None:
+    """Add a line of a round length along x from `start` (3,), beside what has this size in mm."""
+    length = rounded_up(0.12 * size)
+    ends = start + np.array([[0.0, 0.0, 0.0], [length, 0.0, 0.0]])
+    add(plotter, f"length of {length:g} mm", lines(ends[None]), MEASURE, line_width=9)
 
 
 def look(plotter: Plotter, direction: Any, up: Any = (0.0, 1.0, 0.0), box: Array | None = None) -> None:
