@@ -22,7 +22,7 @@ from rve.equilibrium.limits import strain_is_unique
 from rve.equilibrium.mixtures import MOVED, balance_works, best_mixture
 from rve.geometry.pose import Pose, start_pose, strain_of
 
-SAMPLE = 4
+SAMPLE = 8
 """One in so many rows, and every row of rank one, is also solved as a dead load: independent starts."""
 UNDECIDED = "below"
 """Branch of a row between two rounds whose pose is that of its last rival."""

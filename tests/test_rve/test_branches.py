@@ -94,7 +94,7 @@ def test_the_best_mixture_of_strains_carries_its_load():
         assert equal_shares(s[[0, 0, 1], [0, 1, 1]], E[found], mesh) == pytest.approx(np.sort(shares)[::-1], abs=1e-9)
 
 
-THIN = [(22.0, FOUR_IN_ONE, 1e-4), (50.0, FOUR_IN_ONE, 2e-3), (20.0, SIX_IN_ONE, 1e-4), (16.7, SIX_IN_ONE, 1e-4)]
+THIN = [(18.0, FOUR_IN_ONE, 1e-4), (50.0, FOUR_IN_ONE, 2e-3), (20.0, SIX_IN_ONE, 1e-4), (16.7, SIX_IN_ONE, 1e-4)]
 THIN = [pytest.param(*case, marks=pytest.mark.slow) for case in (*THIN, (100.0, FOUR_IN_ONE, 2e-3))]
 RELEASE = ((30.0, FOUR_IN_ONE, 1e-4), (77.0, SIX_IN_ONE, 2e-3))
 THIN += [pytest.param(*case, marks=pytest.mark.release) for case in RELEASE]
@@ -113,7 +113,7 @@ def test_tables_of_thin_wire_are_normal(ratio, weave, short):
     assert (dead.h - double_dot(table.S, table.E)[table.converged])[good].max() < short
 
 
-def test_thin_rings_pulled_at_45_degrees_lock_in_states_that_only_long_paths_reach():
+def test_loads_of_rank_one_lock_in_states_that_only_long_paths_reach():
     """Paths of up to 200 iterations from random poses: without them E12 is 0.2536 and the work 1.4e-4 less."""
     table = solve_table(Cell(5.0, 5.0 / 36.0), ([45.0, 45.0], [0.0, 90.0]))
     assert table.branch.tolist() == ["coexisting"] * 2
