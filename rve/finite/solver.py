@@ -86,8 +86,7 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
     start, whole, part = state.touching.placed, task.at, 1
     slides = _SLIDES if start.walls and task.inertia is None else 0
     task = replace(task, at=start.x + (whole - start.x) / parts) if parts > 1 else task
-    factorize = Factorizer()
-    history: list[Record] = []
+    factorize, history = Factorizer(), list[Record]()
     least, finest, ends, ways = np.inf, state, 0, list[float]()
     pace, status, is_minimum = Patience(options, len(state.mu)), "iterations", False
     for _ in range(options.max_iterations):
