@@ -114,7 +114,7 @@ def test_the_notebook_runs(answer, rings, executed):
     found = data_of(executed("five_lines.ipynb"))
     assert sum("image/png" in data for data in found) == 3  # law, curtain, rings
     shown = "".join(data.get("text/html", data["text/plain"]) for data in found)
-    assert f"{answer.summary['mean_height_mm']:.6g}" in shown
+    assert str(answer) in shown
     assert str(rings) in shown
 
 
