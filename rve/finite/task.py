@@ -36,7 +36,7 @@ class FiniteOptions:
     first, last: mu at the start and at the end.
     reach: gap beyond which a contact has no force.
     disturbance, seed, starts: size and seed of the random numbers added to z at the start in space, so that folds may
-    form, and how many seeds, one after the other, are tried where a path does not converge.
+    form, and how many seeds, one after the other, are tried where a path of `max_iterations` does not converge.
     """
 
     tolerance: float = 1e-8
