@@ -58,10 +58,10 @@ def spread(con: Touching, G: Array, force: Array) -> Array:
 
 def block_diagonal(pairs: Array, weight: Array) -> sparse.csr_matrix:
     """The matrix (k, k) of blocks (p, 7, 7) along its diagonal from the beginning, plus that of weights (k,)."""
-    out, end, rows = pairs.copy(), PAIR * len(pairs), np.arange(len(pairs) + 1)
-    np.einsum("pkk->pk", out)[...] += weight[:end].reshape(-1, PAIR)
-    near = sparse.bsr_matrix((out, rows[:-1], rows), shape=(end, end))
-    return sparse.block_diag((near, sparse.diags(weight[end:])), "csr")
+    rows, end = np.arange(len(pairs) + 1), PAIR * len(pairs)
+    out = sparse.bsr_matrix((pairs, rows[:-1], rows), shape=(end, end)).tocsr()
+    out.resize(len(weight), len(weight))
+    return out + sparse.diags(weight, format="csr")
 
 
 def blocks(con: Touching, G: Array, stiff: Array, force: Array, idle: Array) -> Array:

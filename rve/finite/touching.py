@@ -189,8 +189,9 @@ def find_touching(
     deepest = np.full(len(key), np.inf)
     np.minimum.at(deepest, minima.pair, minima.distance - 2.0 * wire)
     at_points = points.minima(placed, key)
-    away, point = cKDTree(_located(points.key, points.rho)).query(_located(key[minima.pair], minima.rho_a))
-    minima = minima.take(away >= np.append(points.way, 0.0)[point])
+    if len(points.key):
+        away, point = cKDTree(_located(points.key, points.rho)).query(_located(key[minima.pair], minima.rho_a))
+        minima = minima.take(away >= points.way[point])
     free, zero, g = len(minima.pair), np.zeros((len(at_wall), 3)), g[kept]
     others = [at_points, *([_beside_soft(minima, d, na, nb, wire, limit)] if beside else ())]
     others.append(Minima(at_wall, -nb[at_wall], zero, zero, g + 2.0 * wire, np.ones(len(g))).take(g < reach))
