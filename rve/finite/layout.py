@@ -149,9 +149,9 @@ class FiniteMesh:
         options = options or FiniteOptions()
         problem = Problem(self, force, np.asarray(held, dtype=bool), at, space, tuple(walls), near)
         problem.check()
-        task = problem.task()
+        task, starts = problem.task(), options.starts if space and options.disturbance else 1
         tried: list[FiniteSolution] = []
-        for seed in range(options.seed, options.seed + (options.starts if space else 1)):
+        for seed in range(options.seed, options.seed + max(1, starts)):
             start = problem.start(replace(options, seed=seed))
             tried.append(as_solution(problem, task, solve_rings(task, start, options)))
             if tried[-1].status in ("converged", "out-of-reach"):

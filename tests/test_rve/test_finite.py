@@ -372,6 +372,8 @@ def test_an_impossible_tolerance_stalls_in_bounded_work_at_an_answer_that_is_goo
     assert found.potential == pytest.approx(mesh.solve(*problem, space=False).potential, rel=1e-6)
     early = mesh.solve(*problem, options=FiniteOptions(max_iterations=3, starts=1))
     assert (early.status, early.iterations, "allow more" in early.message) == ("iterations", 3, True)
+    for same in (FiniteOptions(max_iterations=3, disturbance=0.0), FiniteOptions(max_iterations=3, starts=0)):
+        assert mesh.solve(*problem, options=same).iterations == 3  # one start: another would be the same one
 
 
 def random_pairs(seed, n=40):
