@@ -20,7 +20,7 @@ from macro_fem.output.line_load import Nearby
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites, curtain_file, read_curtain
 from macro_fem.rings.field import RECORD, RingField, WorstCell
-from rve.common import Array, Index, InputError, check_out_job, tell
+from rve.common import Array, Index, InputError, check_out_job, read_entry, tell
 from rve.common.tensor import WEIGHT, double_dot
 
 NARROW = 1e-3
@@ -39,6 +39,7 @@ def localize(
     many of them. NotConverged if no locked state is found.
     """
     began = time.perf_counter()
+    window = read_entry({"window": window}, "window", tuple[float, float, float, float] | None)
     if window is not None and not (np.isfinite(window).all() and window[0] < window[2] and window[1] < window[3]):
         raise InputError(f"window = {window}: must be x0, y0, x1, y1 in mm with x0 < x1 and y0 < y1")
     curtain = curtain if isinstance(curtain, Curtain) else read_curtain(curtain)

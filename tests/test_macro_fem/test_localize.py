@@ -14,6 +14,7 @@ from macro_fem.cli import main
 from macro_fem.output.files import rings
 from macro_fem.rings.curtain import Curtain, Told, curtain_of
 from macro_fem.rings.localize import find_sites, localize, place_rings, turns
+from rve.common import InputError
 from rve.common.files import checksum
 from rve.drawn import ALONG, AROUND, DrawnRings
 from rve.equilibrium.interior_point import DirectOptions
@@ -485,3 +486,9 @@ rings_per_hook = 2\n[load.bar]\nmass = 3.0\n"""
     assert force > max(0.25 * 3.0 * 9.81, 0.9 * most)
     assert f"forces between rings away from supports: at most {most:.4g} N" in result.output
     assert f"the ring at support 1 (corners) that takes most is pulled by {force:.4g} N" in result.output
+
+
+@pytest.mark.parametrize("window", [(0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 1.0), (np.nan, 0.0, 1.0, 1.0), "all"])
+def test_a_window_that_is_no_rectangle_is_refused_in_a_sentence(window):
+    with pytest.raises(InputError, match="window = "):
+        localize("no such curtain", window)
