@@ -14,15 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
-from homogenize import (
-    CellInfo,
-    LawInterval,
-    LockedRows,
-    cell_of,
-    interval_of_table,
-    law_interval,
-    read_law_interval,
-)
+from homogenize import CellInfo, LawInterval, LockedRows, cell_of, interval_of_table, law_interval, read_law_interval
 from macro_fem.demand.directions import rounded
 from rve import Cell, solve_table, support
 from rve.common import (

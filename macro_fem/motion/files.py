@@ -18,7 +18,7 @@ from macro_fem.motion.pace import COLUMNS, Frame, Mover, Run
 from macro_fem.motion.rings import MovingRings
 from macro_fem.motion.step import Account, Moment
 from macro_fem.output.files import collection
-from macro_fem.output.images import in_turn, save_animation, save_panels
+from macro_fem.output.images import Draw, in_turn, save_animation, save_panels
 from macro_fem.output.page import write_moments
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.every_ring import EveryRing
@@ -80,16 +80,18 @@ def chosen(frames: Sequence[Frame], most: int) -> list[Any]:
 
 def _write_pictures(folder: Path, mover: AnyMover, frames: Sequence[Frame], wanted: Pictures) -> None:
     """motion.png, motion.html and motion.gif, as far as they are wanted; motion.mp4 where ffmpeg is installed."""
-    few, some = chosen(frames, PANELS), chosen(frames, IMAGES)
-    times = [f"{one.moment.t:.3f} s" for one in some]
+
+    def moments(some: Sequence[Frame]) -> list[tuple[str, Draw]]:
+        return [(f"{one.moment.t:.3f} s", draw) for one, draw in zip(some, mover.views(some), strict=True)]
+
     if wanted.picture:
-        at = ", ".join(f"{one.moment.t:.3f} s" for one in few)
-        save_panels(folder / "motion.png", mover.views(few), f"at {at}")
+        at, draws = zip(*moments(chosen(frames, PANELS)), strict=True)
+        save_panels(folder / "motion.png", draws, f"at {', '.join(at)}")
+    some = moments(chosen(frames, IMAGES)) if wanted.html or wanted.animation else []
     if wanted.html:
-        moments = zip(times, mover.views(some), strict=True)
-        write_moments(folder / "motion.html", in_turn(moments), mover.scene.source.stem)
+        write_moments(folder / "motion.html", in_turn(some), mover.scene.source.stem)
     if wanted.animation:
-        save_animation(folder / "motion.gif", in_turn(zip(times, mover.views(some), strict=True)))
+        save_animation(folder / "motion.gif", in_turn(some))
         if ffmpeg := shutil.which("ffmpeg"):
             even = "scale=trunc(iw/2)*2:trunc(ih/2)*2,format=yuv420p"  # what every player shows
             words = (ffmpeg, "-v", "quiet", "-i", folder / "motion.gif", "-vf", even, folder / "motion.mp4")

@@ -14,15 +14,7 @@ from numpy.typing import NDArray
 
 from rve.common import Array, Flags, Index, Rows
 from rve.common.tensor import WEIGHT, disc, double_dot, mirror
-from rve.equilibrium.dead_load import (
-    MARGINS,
-    NEAR_MARGIN,
-    STARTS,
-    LoadedCell,
-    random_poses,
-    restart,
-    solve_dead,
-)
+from rve.equilibrium.dead_load import MARGINS, NEAR_MARGIN, STARTS, LoadedCell, random_poses, restart, solve_dead
 from rve.equilibrium.interior_point import Equilibrium, unit_loads
 from rve.equilibrium.limits import balanced, loose_motions
 from rve.equilibrium.system import Equations
