@@ -1,7 +1,6 @@
 """The drawings of tutorial and reference: python docs/drawings.py [FOLDER], by default docs/drawings/."""
 
 import argparse
-import ast
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ import rve
 from rve.plots import CLASS_COLOURS, drawn_rings
 
 RED, BLUE, GREY, SHEET = "#c1121f", "#1f3fd0", "0.45", "#e9eef3"
-ROOT = Path(__file__).resolve().parents[1]
 SIZE = 11
 """Points of text in drawings that are 7 inches wide: legible at half size."""
 
@@ -259,54 +257,6 @@ def obstacles() -> Any:
     return fig
 
 
-def architecture() -> Any:
-    """Packages and their rooms, as large as their code, and which rooms import which: read from the tree."""
-    tree = {package: _rooms(package) for package in ("rve", "homogenize", "macro_fem")}
-    fig, (ax,) = bare(9.5, 6.6)
-    places: dict[str, tuple[float, float]] = {}
-    for column, (package, rooms) in enumerate(tree.items()):
-        top = 0.0
-        words(ax, (5.0 * column, 0.7), f"{package}, {sum(rooms.values()):,} lines", fontsize=SIZE, weight="bold")
-        for room, lines in sorted(rooms.items(), key=lambda item: -item[1]):
-            height = 0.42 + lines / 2500.0
-            x, y = 5.0 * column - 1.3, top - height
-            sheet(ax, [(x, y), (x + 2.6, y), (x + 2.6, top), (x, top)])
-            words(ax, (x + 1.3, y + 0.5 * height), f"{room} {lines:,}", fontsize=8)
-            places[f"{package}.{room}"] = (x + 1.3, y + 0.5 * height)
-            top = y - 0.12
-    for start, end in sorted(_arrows(places)):
-        (x0, y0), (x1, y1) = places[start], places[end]
-        arrow(ax, (x0 - 1.3, y0), (x1 + 1.3, y1), GREY, width=0.6)
-    ax.autoscale_view()
-    return fig
-
-
-def _rooms(package: str) -> dict[str, int]:
-    """Lines of code by folder of a package; modules beside the folders are the room of the package's root."""
-    rooms: dict[str, int] = {}
-    for path in sorted((ROOT / package).rglob("*.py")):
-        room = path.relative_to(ROOT / package).parts[0]
-        room = room if not room.endswith(".py") else "root"
-        rooms[room] = rooms.get(room, 0) + path.read_text("utf-8").count("\n")
-    return rooms
-
-
-def _arrows(places: dict[str, tuple[float, float]]) -> set[tuple[str, str]]:
-    """Pairs of rooms of different packages of which the first imports the second."""
-    found = set()
-    for name in places:
-        package, room = name.split(".")
-        folder = ROOT / package / ("" if room == "root" else room)
-        for path in folder.glob("*.py") if room == "root" else folder.rglob("*.py"):
-            for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-                module = node.module if isinstance(node, ast.ImportFrom) and not node.level else None
-                parts = (module or "").split(".")
-                end = f"{parts[0]}.{parts[1] if len(parts) > 1 else 'root'}"
-                if parts[0] != package and end in places:
-                    found.add((name, end))
-    return found
-
-
 DRAWINGS: dict[str, Callable[[], Any]] = {
     "axes_and_grain": axes_and_grain,
     "reference_width": reference_width,
@@ -316,7 +266,6 @@ DRAWINGS: dict[str, Callable[[], Any]] = {
     "supports": supports,
     "weave_angle": weave_angle,
     "obstacles": obstacles,
-    "architecture": architecture,
 }
 
 

@@ -47,12 +47,43 @@ def test_the_page_runs_as_it_stands(page, kinds, tmp_path):
     assert named <= written
 
 
-def test_links_between_pages_lead_somewhere():
-    for page in [DOCS.parent / "README.md", *sorted(DOCS.rglob("*.md"))]:
-        text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
-        for target in re.findall(r"\]\(([^)#\s]+)", text):
-            if not target.startswith(("http:", "https:")):
-                assert (page.parent / target).exists(), f"{page.name} links to {target}"
+def anchors(page: Path) -> set[str]:
+    """Anchors of the headings of a page, as GitHub and the site make them."""
+    headings = re.findall(
+        r"^#+ (.*)$", re.sub(r"```.*?```", "", page.read_text("utf-8"), flags=re.DOTALL), re.MULTILINE
+    )
+    return {re.sub(r"[^\w\- ]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", [*DOCS.parent.glob("*.md"), *sorted(DOCS.rglob("*.md"))], ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    text = re.sub(r"```.*?```", "", page.read_text("utf-8"), flags=re.DOTALL)
+    for target, anchor in re.findall(r"\]\(([^)#\s]*)(?:#([^)\s]+))?\)", text):
+        if not target.startswith(("http:", "https:")):
+            place = page.parent / target if target else page
+            assert place.exists(), target
+            assert not anchor or anchor in anchors(place), f"{target}#{anchor}"
+
+
+def test_contributing_names_places_that_are_there():
+    text = (DOCS.parent / "CONTRIBUTING.md").read_text("utf-8")
+    table = text.split("| --- | --- |\n")[1].split("\n\n")[0]
+    for place in re.findall(r"`(\w+/[\w/]*(?:\.py)?)`", table):
+        assert (DOCS.parent / place).exists(), place
+    sketch = re.search(r"```text\n(.*?)```", text, re.DOTALL)[1]
+    for package, folders in re.findall(r"^(\w+) .*  {3,}(\w+(?:  \w+)*)$", sketch, re.MULTILINE):
+        told = set(folders.split())
+        assert told == {place.parent.name for place in (DOCS.parent / package).glob("*/__init__.py")}
+
+
+def test_every_claim_of_the_theory_names_tests_that_are_there():
+    evidence = DOCS / "reports" / "evidence.md"
+    rows = re.findall(r"^\|[^|]*\| \[\w+\]\((\S+\.py)\) \| (.*) \|$", evidence.read_text("utf-8"), re.MULTILINE)
+    assert rows
+    for path, names in rows:
+        source = (evidence.parent / path).read_text("utf-8")
+        for name in names.split("; "):
+            assert f"def test_{name.replace(' ', '_')}(" in source, f"{path}: {name}"
 
 
 @pytest.mark.slow
