@@ -21,10 +21,10 @@ def numbers(told: dict[str, Any]) -> str:
         return ", ".join(moving(told))
     forces = [one["largest_nodal_force_N"] for one in told["support_forces"]]
     said = [f"mesh {told['mass_kg']:.3g} kg", f"mean height {told['mean_height_mm']:.0f} mm"]
-    said.append(f"largest force of a held node {max(forces):.3g} N")
+    said.append(f"largest nodal force {max(forces):.3g} N")
     said += [f"{one['obstacle']} pushed by {norm(one['reaction_N']):.3g} N" for one in told.get("obstacles") or ()]
     if told["safety_factor"]:
-        said.append(f"rings hold {told['safety_factor']:.3g} times the load")
+        said.append(f"safety factor {told['safety_factor']:.3g}")
     return ", ".join(said)
 
 
@@ -34,7 +34,7 @@ def moving(told: dict[str, Any]) -> list[str]:
     said = [
         f"{told['reached_s']:.3g} s in {told['steps']} steps",
         f"lowest point at last {told['lowest_point_mm']:.0f} mm",
-        f"all supports together at most {most:.0f} N, at {at:.2f} s",
+        f"supports together at most {most:.0f} N, at {at:.2f} s",
     ]
     said += [f"{one['body']} leaves with {norm(one['velocity_mm_per_s']) / 1000:.2g} m/s" for one in told["bodies"]]
     return [*said, f"energy account within {told['account_error']:.0e}"]
