@@ -88,8 +88,8 @@ def support(
 ) -> SupportValue:
     """h(S) = max S:E over the admissible cells for dead line loads S (3,) or (n, 3), positive semidefinite.
 
-    It is the work of the best locked state that was found, hence at most the maximum; docs/theory.md, 4, says how often
-    it was less. Starts are the slack pose, random admissible poses (the same in every call), the locked states of
+    It is the work of the best locked state that was found, hence at most the maximum; docs/reports/evidence.md says how
+    often it was less. Starts are the slack pose, random admissible poses (the same in every call), the locked states of
     `known` (an earlier answer for the same cell) and those of the other loads; where few loads are near, those of four
     loads round it are found first. E refers to the reference cell of `options`. InputError for loads that are zero, not
     finite or have a negative eigenvalue; NotConverged if there is no reference cell. Loads that fail keep their status

@@ -28,7 +28,7 @@ TOLERANCE, MU_END = 1e-10, 1e-12
 """Residual and last complementarity of restarts: states on the verge of giving way converge linearly in the last
 digits, and round-off of merging contacts allows no smaller gaps."""
 STARTS = 16
-"""Random starts of the loads of one vicinity together; docs/theory.md, 4 has the hit rate."""
+"""Random starts of the loads of one vicinity together; docs/reports/evidence.md has the hit rate."""
 WALK, STRIDE = 20, 0.12
 """Steps of a random walk from the slack pose, and the largest of them in r1 and radians."""
 START_GAP = 1e-3

@@ -102,7 +102,7 @@ THIN += [pytest.param(*case, marks=pytest.mark.release) for case in RELEASE]
 
 @pytest.mark.parametrize(("ratio", "weave", "short"), THIN)
 def test_tables_of_thin_wire_are_normal(ratio, weave, short):
-    """And no row falls short of its load alone by more than stated: one by 1.0e-3 at r1/r2 = 50 (docs/theory.md, 4)."""
+    """And no row falls short of its load alone by more than stated: one by 1.0e-3 at r1/r2 = 50."""
     cell, loads = Cell(5.0, 5.0 / ratio, weave), grid(5.0, weave)
     table = solve_table(cell, loads)
     assert (table.status == "converged").all()
