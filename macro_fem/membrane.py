@@ -21,7 +21,7 @@ from macro_fem.output.told import envelope
 from macro_fem.rings.curtain import curtain_of, read_told
 from macro_fem.rings.field import RingField
 from macro_fem.rings.localize import localize
-from macro_fem.scene.meshing.mesh_files import write_outline
+from macro_fem.scene.meshing.outline_files import write_outline
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Combination
 from macro_fem.solution import CurtainSolution

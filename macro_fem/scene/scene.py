@@ -11,7 +11,7 @@ import numpy as np
 
 from macro_fem.scene import support_kinds
 from macro_fem.scene.checks import check_scene
-from macro_fem.scene.meshing.mesh_files import read_outline
+from macro_fem.scene.meshing.outline_files import read_outline
 from macro_fem.scene.moving import Ball, Motion
 from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.shapes import Mesh, MeshFile, Outline, Shape

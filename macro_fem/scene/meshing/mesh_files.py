@@ -1,4 +1,4 @@
-"""Meshes in files as plane sheets (meshio); groups of lines are named edges; outlines as DXF (ezdxf)."""
+"""Meshes in files as plane sheets (meshio); groups of lines are named edges."""
 
 import io
 import warnings
@@ -11,11 +11,11 @@ import skfem
 from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import counterclockwise, cross, signed_areas
-from macro_fem.scene.meshing.edges import boundary_loops, facets_between, named_edges
+from macro_fem.scene.meshing.edges import facets_between, named_edges
 from macro_fem.scene.meshing.nodes import least_sine
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import MOST_MM
-from rve.common import Array, InputError, atomic_path, require, shown
+from rve.common import Array, InputError, shown
 from rve.common.texts import read_bytes
 
 FORMATS = {".msh": "Gmsh MSH 2.2 and 4.1, ASCII or binary", ".vtu": "VTK XML unstructured grid"}
@@ -138,64 +138,3 @@ def _check_sides(mesh: Any) -> None:
         if off.min(initial=np.inf) < 1e-9 * length[side]:
             x, y = corners[near][off.argmin()]
             raise InputError(f"the point ({x:g}, {y:g}) lies on the side of a cell that it is no corner of")
-
-
-CURVES = ("LWPOLYLINE", "POLYLINE", "CIRCLE", "ELLIPSE", "SPLINE", "LINE", "ARC")
-"""What an outline is drawn with in a DXF file."""
-
-
-def read_outline(path: Path, departure: float = 1e-4) -> dict[str, Any]:
-    """Keys `outline` and `holes` of a shape from the closed curves of a DXF file in mm: the largest is the outline.
-
-    Layers that are off or frozen are left out. departure: of chords from round curves, over the size of the drawing.
-    InputError without ezdxf, for no such file, another unit, no curves, curves that are not closed, and those of
-    blocks, which may be posts or the frame of the sheet.
-    """
-    require("ezdxf", "cad", "a DXF outline", "give its corners as outline")
-    import ezdxf.disassemble
-    import ezdxf.path
-
-    read_bytes(path)  # a name that is no file is told first, and a sweep sees what it has read
-    try:
-        drawing = ezdxf.readfile(path)
-        hidden = {layer.dxf.name.lower() for layer in drawing.layers if layer.is_off() or layer.is_frozen()}
-        drawn = [one for one in drawing.modelspace() if one.dxf.layer.lower() not in hidden]
-        for block in (one for one in drawn if one.dxftype() == "INSERT"):
-            if any(part.dxftype() in CURVES for part in ezdxf.disassemble.recursive_decompose([block])):
-                raise ValueError(f"block {block.dxf.name!r} has curves: explode it or turn its layer off")
-        ways = [ezdxf.path.make_path(one) for one in drawn if one.dxftype() in CURVES]
-        ways = [way for way in ways if len(way)]
-        if gaps := [way.start for way in ways if not way.is_closed]:  # as in the path of a periodic spline
-            where = f"({gaps[0].x:g}, {gaps[0].y:g})"
-            raise ValueError(f"the curve from {where} is not closed: make it a closed polyline or turn its layer off")
-        chord = departure * max(ezdxf.path.bbox(ways).size) if ways else 0.0
-        rings = [[(x, y) for x, y, _ in way.flattening(chord)][:-1] for way in ways]
-    except Exception as error:  # ezdxf raises whatever damaged data leads to
-        what = str(error).split("\n")[0] or "it is damaged or cut off"
-        raise InputError(f"{path}: cannot be read as DXF: {what}") from error
-    if drawing.units not in (0, ezdxf.units.MM):
-        raise InputError(f"{path}: states the unit {ezdxf.units.unit_name(drawing.units).lower()}, it must be mm")
-    if not rings:
-        raise InputError(f"{path}: needs closed curves: polylines, circles, ellipses or splines")
-    outline, *holes = sorted(rings, key=lambda ring: -abs(signed_areas(np.array(ring))))
-    return {"outline": outline, "holes": holes}
-
-
-STRAIGHT = 1e-9
-"""Sine of the turn at nodes of the boundary that are corners of an outline; less is rounding of a straight side."""
-
-
-def write_outline(path: Path, mesh: Any) -> None:
-    """Write the corners of the boundary of a scikit-fem mesh, mm, as closed polylines of a DXF file."""
-    import ezdxf.units
-
-    document = ezdxf.new(units=ezdxf.units.MM)
-    document.layers.add("CURTAIN")
-    for loop in boundary_loops(mesh):
-        points = mesh.p[:, loop[1:]].T
-        before, after = points - np.roll(points, 1, axis=0), np.roll(points, -1, axis=0) - points
-        lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
-        corners = points[(np.abs(cross(before, after)) > STRAIGHT * lengths) | ((before * after).sum(axis=1) < 0.0)]
-        document.modelspace().add_lwpolyline(corners.tolist(), close=True, dxfattribs={"layer": "CURTAIN"})
-    with atomic_path(path) as temporary:
-        document.saveas(temporary)
