@@ -146,6 +146,7 @@ def modes(scene: Path, law_path: Path | None, number: int, out: Path, picture: b
 
     found = run_modes(scene, law_path, out, number=number, picture=picture)
     hertz = ", ".join(f"{one:.4g}" for one in found["frequencies_Hz"])
+    say(*found["notes"])
     answer(found, f"natural frequencies in Hz: {hertz}; written to {out}")
 
 

@@ -145,7 +145,8 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             if np.isfinite(values).all():
                 found |= {f"peak_{name}{unit}": float(values.max()), f"peak_{name}_at_s": float(t[values.argmax()])}
         disc = last.problem.disc
-        return found | {"cells": disc.n_cells, "element": disc.element, "law": last.problem.law.name}
+        found |= {"cells": disc.n_cells, "element": disc.element, "law": last.problem.law.name}
+        return found | {"notes": list(self.mesh.notes)}
 
     def pack(self, frame: MotionFrame) -> dict[str, Any]:
         return {name: getattr(frame, name) for name in ("P", "S", "supports", "relative_gap")}

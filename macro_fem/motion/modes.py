@@ -254,6 +254,7 @@ def run_modes(
         "left_out": modes.left_out + ("; the partial factors of [[combination]]" if scene.combination else ""),
         "forces_by": forces_by(found),
         "cells": problem.disc.n_cells,
+        "notes": list(problem.mesh.notes),
         "law": problem.law.name,
         "wall_s": found.wall_s,
         "versions": versions("scikit-fem", "scikit-sparse"),

@@ -170,6 +170,7 @@ class MovingRings(Mover[RingFrame, RingScene]):
             "min_gap_mm": float(gap.min()),
             "links_intact": bool(intact.all()),
             "iterations": int(iterations.sum()),
+            "notes": list(self.first.notes),
         }
 
     def pack(self, frame: RingFrame) -> dict[str, Any]:

@@ -41,6 +41,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
     return {
         "status": solution.status,
         "message": solution.message,
+        "notes": list(problem.mesh.notes),
         "mean_height_mm": solution.mean_height(),
         "lowest_point_mm": float(x[:, 1].min()),
         **in_space,

@@ -125,6 +125,7 @@ def default_law_lines(given: Path | None) -> list[str]:
 def curtain_lines(summary: dict[str, Any], out: Path, *, explain: bool) -> Iterator[str]:
     """How a curtain ended, its numbers, what to order, and whether it holds; `explain`: what was used and left out."""
     yield f"{summary['status']}: {summary['message']}"
+    yield from summary["notes"]
     yield f"{_heights(summary)}, largest line load {digits(summary['max_principal_line_load_N_per_mm'], 4)} N/mm"
     sizes = f"{summary['cells']} cells, {summary['dofs']} unknowns, {summary['iterations']} iterations"
     yield f"{sizes}, {summary['wall_s']:.2f} s; written to {out}"
@@ -150,6 +151,7 @@ def motion_lines(summary: dict[str, Any], out: Path) -> list[str]:
     """How a curtain in motion ended, and its peaks."""
     return [
         f"{summary['status']}: {summary['message']}",
+        *summary["notes"],
         f"{summary['reached_s']:g} s in {summary['steps']} steps, forces of all supports add up to at most "
         f"{digits(summary['peak_support_force_N'], 4)} N, at {digits(summary['peak_support_force_at_s'], 4)} s; "
         f"lowest point {summary['lowest_point_mm']:.3f} mm, {summary['wall_s']:.2f} s; written to {out}",

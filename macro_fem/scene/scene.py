@@ -32,7 +32,7 @@ class Scene:
     """The sheet, and the `items` that hold, load and meet it, in any order.
 
     `material`: of the rings, in place of the law's (`homogenize.with_material`). `source` names the scene's file, in
-    whose folder relative mesh files are.
+    whose folder relative mesh files are. `notes`: what was mended in the `drawing` that the sheet is read from.
 
     >>> from macro_fem import Bar, Hooks, Rectangle
     >>> Scene(Rectangle(3000, 2500), [Hooks(pitch=200), Bar(mass=12)]).support[0].pitch
@@ -50,6 +50,7 @@ class Scene:
     combination: tuple[Combination, ...] = ()
     source: Path = Path("scene")
     drawing: str | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the material; InputError for items that are none."""
@@ -138,9 +139,9 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     for name, kind in LiveLoad.kinds.items():
         items += read_records(load.get(name, []), kind, f"{source}: [load.{name}]")
     single = data | {"load": {key: value for key, value in load.items() if key not in LiveLoad.kinds}}
-    curtain = {"shape": "rectangle"} | data["curtain"]
+    curtain, notes = {"shape": "rectangle"} | data["curtain"], tuple[str, ...]()
     if curtain["shape"] == "dxf":
-        curtain = _from_dxf(curtain, Path(source))
+        curtain, notes = _from_dxf(curtain, Path(source))
     shape = read_records(curtain, Shape.kinds | {"dxf": Outline}, f"{source}: [curtain]", "shape")[0]
     parts: dict[str, Any] = {
         name: read_typed(cls, single[name], f"{source}: [{name}]") for name, cls in PARTS.items() if name in single
@@ -150,18 +151,19 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
             raise InputError(f'{source}: [mesh] {key} = {data["mesh"][key]!r}: has no effect with shape = "file"')
     parts["material"] = described(data.get("material", {}), f"{source}: [material]")
     parts["combination"] = tuple(read_records(data.get("combination", []), Combination, f"{source}: [combination]"))
-    scene = Scene(shape, tuple(items), **parts, source=Path(source), drawing=data["curtain"].get("file"))
+    scene = Scene(shape, tuple(items), **parts, source=Path(source), drawing=data["curtain"].get("file"), notes=notes)
     check_scene(scene)
     return scene
 
 
-def _from_dxf(curtain: dict[str, Any], source: Path) -> dict[str, Any]:
-    """The table of an outline in place of one that names a DXF file."""
+def _from_dxf(curtain: dict[str, Any], source: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """The table of an outline in place of one that names a DXF file, and what was mended in the file."""
     file = curtain.pop("file", None)
     if not isinstance(file, str) or not file:
         raise InputError(f'{source}: [curtain] file: is missing; shape = "dxf" names the file of the outline')
     refuse_unknown(curtain, ("shape", "weave_angle", "areal_mass"), f"{source}: [curtain] of a DXF file")
-    return curtain | read_outline(source.parent / file) | {"shape": "outline"}
+    drawing = read_outline(source.parent / file)
+    return curtain | {"shape": "outline", "outline": drawing.outline, "holes": drawing.holes}, drawing.notes
 
 
 def read_records(

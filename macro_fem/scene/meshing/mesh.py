@@ -48,13 +48,14 @@ class HookRow:
 class CurtainMesh:
     """A scikit-fem mesh `mesh` and its named edges: facet numbers per name. `pattern` says how the cells lie.
 
-    `hooks`: the hooks of each support that has some, by its number in the scene.
+    `hooks`: the hooks of each support that has some, by its number in the scene. `notes`: what was mended in its file.
     """
 
     mesh: Any
     pattern: str
     edges: dict[str, np.ndarray] = field(repr=False)
     hooks: dict[int, HookRow] = field(default_factory=dict, repr=False)
+    notes: tuple[str, ...] = ()
 
     @property
     def height(self) -> float:
@@ -88,7 +89,7 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     for item in scene.items:
         edge = getattr(item, "edge", item.edge_needed)
         if edge is not None and edge not in mesh.edges:
-            known = ", ".join(sorted(mesh.edges))
+            known = "; ".join([", ".join(sorted(mesh.edges)), *mesh.notes])
             scene.refuse(f"{item.where} needs edge = {edge!r}: the curtain has no such edge, only {known}")
     hooked = [(n, item) for n, item in enumerate(scene.support) if isinstance(item, Hanging) and item.has_hooks]
     top = paths(mesh.mesh.facets[:, mesh.edges["top"]].T, mesh.mesh.p.T) if hooked else []
@@ -130,7 +131,7 @@ def _plain_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     except ValueError as error:
         raise InputError(f"{scene.source}: [curtain] {error}") from error
     mesh = skfem.MeshTri(points.T.copy(), cells.T.copy())
-    return CurtainMesh(mesh, "aligned", named_edges(mesh, holes, {}))
+    return CurtainMesh(mesh, "aligned", named_edges(mesh, holes, {}), notes=scene.notes)
 
 
 def _refuse_too_many(scene: Scene, outline: Array, aspect: float) -> None:

@@ -1,58 +1,330 @@
-"""Outlines of sheets as DXF files, read and written (ezdxf)."""
+"""Outlines of sheets as DXF files, read and written (ezdxf).
 
+A drawing is *right*, *mended with a note* or *refused with its remedy*. Curves that meet end to end are joined, those
+of blocks among them. The closed curve that holds all others is the outline, the others are its holes.
+"""
+
+import io
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import redirect_stderr
+from dataclasses import dataclass
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
+from scipy.interpolate import BSpline
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import cross, signed_areas
 from macro_fem.scene.meshing.edges import boundary_loops
-from rve.common import InputError, atomic_path, require
+from macro_fem.scene.tables import MOST_MM
+from rve.common import Array, InputError, atomic_path, require
 from rve.common.texts import read_bytes
 
-CURVES = ("LWPOLYLINE", "POLYLINE", "CIRCLE", "ELLIPSE", "SPLINE", "LINE", "ARC")
+CURVES = ("LWPOLYLINE", "POLYLINE", "CIRCLE", "ELLIPSE", "SPLINE", "LINE", "ARC", "3DFACE")
 """What an outline is drawn with in a DXF file."""
+UNREAD = ("REGION", "MLINE", "TRACE", "MPOLYGON", "MESH", "BODY", "3DSOLID", "HELIX", "SURFACE", "ACAD_PROXY_ENTITY")
+"""What may be a part of an outline and is not read; everything else, such as text and dimensions, is passed over."""
+DEPARTURE = 1e-4
+"""Departure of chords from round curves over the size of the drawing. Larger: fewer corners. Curves up to twice
+as far apart are one that is drawn twice."""
+OWN_DEPARTURE = 5e-3
+"""Departure of chords from a round curve over its own size, so that small holes stay round: 22 corners of a circle."""
+JOINT = 1e-5
+"""Ends of curves as far apart over the size of the drawing are joined: rounding of three decimals on 100 mm. Larger:
+gaps that are faults of the drawing are closed as well."""
+ROUNDING = 1e-9
+"""Distances over the size of the drawing, and sines of turns at corners, that are rounding of what is written."""
+CAUSES = {
+    "Hole lies outside shell": "curves lie beside each other, a curtain is one sheet: keep one outline",
+    "Holes are nested": "a curve lies in a hole, or the outermost one is a frame: keep outline and holes",
+    "Self-intersection": "curves cross or overlap, or are drawn twice: keep the outline and its holes",
+    "Ring Self-intersection": "a curve touches itself: part it there, or draw two",
+    "Interior is disconnected": "holes cut the sheet in parts: keep one",
+}
+"""What shapely finds wrong with an outline and its holes, in words of a drawing."""
+MOST_PARTS = 200_000
+"""Parts of a drawing with its blocks resolved. Larger: a damaged row of blocks is read for minutes."""
 
 
-def read_outline(path: Path, departure: float = 1e-4) -> dict[str, Any]:
-    """Keys `outline` and `holes` of a shape from the closed curves of a DXF file in mm: the largest is the outline.
+@dataclass(frozen=True)
+class Drawing:
+    """Corners (x, y) of the `outline` and of each of the `holes`, mm; `notes`: what was mended in the file."""
 
-    Layers that are off or frozen are left out. departure: of chords from round curves, over the size of the drawing.
-    InputError without ezdxf, for no such file, another unit, no curves, curves that are not closed, and those of
-    blocks, which may be posts or the frame of the sheet.
+    outline: list[tuple[float, float]]
+    holes: list[list[tuple[float, float]]]
+    notes: tuple[str, ...]
+
+
+def read_outline(path: Path) -> Drawing:
+    """The outline and holes that a DXF file draws on layers that are on.
+
+    InputError without ezdxf, for no such file, a unit that is not known, curves that are not plane, do not close, cross
+    or make several sheets.
     """
     require("ezdxf", "cad", "a DXF outline", "give its corners as outline")
-    import ezdxf.disassemble
-    import ezdxf.path
-
-    read_bytes(path)  # a name that is no file is told first, and a sweep sees what it has read
+    start = read_bytes(path)[:4]  # a name that is no file is told first, and a sweep sees what it has read
     try:
-        drawing = ezdxf.readfile(path)
-        hidden = {layer.dxf.name.lower() for layer in drawing.layers if layer.is_off() or layer.is_frozen()}
-        drawn = [one for one in drawing.modelspace() if one.dxf.layer.lower() not in hidden]
-        for block in (one for one in drawn if one.dxftype() == "INSERT"):
-            if any(part.dxftype() in CURVES for part in ezdxf.disassemble.recursive_decompose([block])):
-                raise ValueError(f"block {block.dxf.name!r} has curves: explode it or turn its layer off")
-        ways = [ezdxf.path.make_path(one) for one in drawn if one.dxftype() in CURVES]
-        ways = [way for way in ways if len(way)]
-        if gaps := [way.start for way in ways if not way.is_closed]:  # as in the path of a periodic spline
-            where = f"({gaps[0].x:g}, {gaps[0].y:g})"
-            raise ValueError(f"the curve from {where} is not closed: make it a closed polyline or turn its layer off")
-        chord = departure * max(ezdxf.path.bbox(ways).size) if ways else 0.0
-        rings = [[(x, y) for x, y, _ in way.flattening(chord)][:-1] for way in ways]
+        if start == b"AC10":
+            raise InputError("is a DWG file: save it as DXF")
+        curves, notes = _read_curves(path)
+        size = float(np.ptp(np.vstack(curves), axis=0).max())
+        curves, twice = _distinct(_plane(curves, size), size)
+        rings, joints = _joined(curves, size)
+        rings, again = _distinct(rings, size)
+        outline, *holes = _region(rings, size)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    return Drawing(outline, holes, tuple(f"{path.name}: {note}" for note in (*notes, *twice, *joints, *again)))
+
+
+def _read_curves(path: Path) -> tuple[list[Array], list[str]]:
+    """Points (k, 3) along each curve of a drawing, mm, and notes on its unit and blocks."""
+    import ezdxf.units
+
+    try:
+        with redirect_stderr(io.StringIO()):  # what ezdxf logs
+            drawing = ezdxf.readfile(path)
+            off = {one.dxf.name.lower() for one in drawing.layers if one.is_off()}
+            frozen = {one.dxf.name.lower() for one in drawing.layers if one.is_frozen()}
+            parts = list(islice(_parts(drawing.modelspace(), off | frozen, frozen), MOST_PARTS))
+            if len(parts) == MOST_PARTS:
+                raise InputError(f"has more than {MOST_PARTS} parts in its blocks: is a row of blocks damaged?")
+            if unread := sorted({one.dxftype() for one, _ in parts if one.dxftype().endswith(UNREAD)}):
+                raise InputError(f"{', '.join(unread)}: not read as curves; explode them or turn their layer off")
+            drawn = [part for part in parts if part[0].dxftype() in CURVES]
+            every = np.vstack([np.zeros((0, 3)), *(_points(one, math.inf) for one, _ in drawn)])
+            if not len(every):
+                raise InputError(
+                    "needs closed curves in model space on layers that are on: polylines, circles, ellipses, splines, "
+                    "or lines and arcs that meet end to end"
+                )
+            if not np.abs(every).max() <= MOST_MM:  # nor NaN
+                raise InputError(f"a coordinate is no finite number up to {MOST_MM:g}")
+            curves = [_points(one, DEPARTURE * float(np.ptp(every, axis=0).max())) for one, _ in drawn]
+    except InputError:
+        raise
     except Exception as error:  # ezdxf raises whatever damaged data leads to
-        what = str(error).split("\n")[0] or "it is damaged or cut off"
-        raise InputError(f"{path}: cannot be read as DXF: {what}") from error
-    if drawing.units not in (0, ezdxf.units.MM):
-        raise InputError(f"{path}: states the unit {ezdxf.units.unit_name(drawing.units).lower()}, it must be mm")
-    if not rings:
-        raise InputError(f"{path}: needs closed curves: polylines, circles, ellipses or splines")
-    outline, *holes = sorted(rings, key=lambda ring: -abs(signed_areas(np.array(ring))))
-    return {"outline": outline, "holes": holes}
+        raise InputError("cannot be read as DXF: it is damaged, cut off or of another kind; save it anew") from error
+    factor, notes = _millimetres(drawing.units, ezdxf.units)
+    if factor != 1.0:
+        width, height, _ = factor * np.ptp(every, axis=0)
+        notes[0] += f", the drawing has {width:g} x {height:g} mm"
+    if blocks := sorted({name for _, name in drawn if name}):
+        listed = ", ".join(map(repr, blocks))
+        notes.append(f"curves of the blocks {listed} are read; turn off the layer of what is no part of the sheet")
+    return [factor * curve for curve in curves], notes
 
 
-STRAIGHT = 1e-9
-"""Sine of the turn at nodes of the boundary that are corners of an outline; less is rounding of a straight side."""
+def _millimetres(unit: int, units: Any) -> tuple[float, list[str]]:
+    """The length of a unit of DXF, mm, and a note if it is another; `units`: the module of ezdxf."""
+    if unit == 0:
+        return 1.0, ["it states no unit, its lengths are read as mm"]
+    name = units.unit_name(unit).lower()
+    try:
+        factor = float(f"{units.conversion_factor(unit, units.MM):.9g}")  # ezdxf knows them to 10 digits
+    except (TypeError, ValueError) as error:
+        raise InputError(f"states a unit that is not read, {name} ({unit}): save it in mm") from error
+    return factor, [] if factor == 1.0 else [f"its unit is {name}, lengths are read times {factor:g}"]
+
+
+def _parts(
+    entities: Iterable[Any], hidden: set[str], frozen: set[str], host: str = "0", above: tuple[str, ...] = ()
+) -> Iterator[tuple[Any, str | None]]:
+    """What is drawn on layers that are not hidden, that of blocks too, with the block of model space that it is of.
+
+    What is on layer "0" of a block is on the layer `host` of the block; `above`: names of the blocks that it is in.
+    """
+    from ezdxf.xclip import XClip
+
+    for one in entities:
+        layer = one.dxf.get("layer", "0").lower()
+        layer = host if layer == "0" else layer
+        if one.dxftype() != "INSERT":
+            if layer not in hidden and not one.dxf.get("invisible", 0):
+                yield one, above[0] if above else None
+        elif layer not in frozen and not one.dxf.get("invisible", 0):
+            name, block = one.dxf.name, one.block()
+            if block is None or block.block.is_xref or XClip(one).is_clipping_enabled or one.mcount > MOST_PARTS:
+                raise InputError(f"block {name!r} is clipped, missing, in another file or too many: explode or bind it")
+            if name in above:
+                raise InputError(f"block {name!r} holds itself: turn its layer off")
+            for single in one.multi_insert() if one.mcount > 1 else [one]:
+                yield from _parts(single.virtual_entities(), hidden, frozen, layer, (*above, name))
+
+
+def _points(entity: Any, chord: float) -> Array:
+    """Points (k, 3) along a curve of ezdxf, none if it has no length; round ones by chords within `chord` of them."""
+    kind = entity.dxftype()
+    if kind == "LINE":
+        return np.array([entity.dxf.start, entity.dxf.end], dtype=float)
+    if kind == "3DFACE":
+        return np.array(entity.wcs_vertices(close=True), dtype=float)
+    if kind == "SPLINE":
+        curve = entity.construction_tool()
+        knots, weights = np.array(curve.knots()), np.array(curve.weights() or np.ones(curve.count))[:, None]
+        points = np.array(curve.control_points, dtype=float)
+        spline = BSpline(knots, np.hstack([weights * points, weights]), curve.degree)
+        low, high = knots[curve.degree], knots[-curve.degree - 1]
+        spans = np.unique(np.clip(knots, low, high))  # beyond them a periodic one repeats itself
+        return _chords(lambda t: spline(t)[..., :3] / spline(t)[..., 3:], spans, chord)
+    if kind in ("CIRCLE", "ARC", "ELLIPSE"):
+        from ezdxf.entities import Ellipse
+
+        if kind != "ELLIPSE" and not entity.dxf.radius:
+            return np.zeros((0, 3))
+        tool = (entity if kind == "ELLIPSE" else Ellipse.from_arc(entity)).construction_tool()
+        axes = np.array([tool.center, tool.major_axis, tool.minor_axis], dtype=float)
+        return _arc(axes, tool.start_param, tool.start_param + (tool.param_span or 2.0 * math.pi), chord)
+    return _polyline_points(entity, chord)
+
+
+def _polyline_points(entity: Any, chord: float) -> Array:
+    """Points (k, 3) along a polyline; vertices that guide a smoothed one are no part of it."""
+    if entity.dxftype() == "POLYLINE":
+        if not (entity.is_2d_polyline or entity.is_3d_polyline):
+            raise InputError("POLYLINE: a mesh is not read as a curve; explode it or turn its layer off")
+        entity.vertices[:] = [one for one in entity.vertices if not one.dxf.flags & 16]
+    pieces = [_points(one, chord) for one in entity.virtual_entities()]
+    for before, after in pairwise(range(len(pieces))):  # arcs run counterclockwise, whichever way they are drawn
+        away = np.linalg.norm(pieces[before][[0, -1], None] - pieces[after][[0, -1]], axis=2)
+        if before == 0 and away[0].min() < away[1].min():
+            pieces[0], away = pieces[0][::-1], away[::-1]
+        if away[1, 1] < away[1, 0]:
+            pieces[after] = pieces[after][::-1]
+    return np.vstack([np.zeros((0, 3)), *pieces])
+
+
+def _arc(axes: Array, start: float, end: float, chord: float) -> Array:
+    """Points (k, 3) along an ellipse of centre and half axes `axes` (3, 3) between two of its angles."""
+    quarters = math.ceil(abs(end - start) / (0.5 * math.pi) - 1e-9)
+    return _chords(
+        lambda t: np.stack([np.ones_like(t), np.cos(t), np.sin(t)], axis=-1) @ axes,
+        np.linspace(start, end, quarters + 1),
+        chord,
+    )
+
+
+def _chords(place: Callable[[Array], Array], spans: Array, chord: float) -> Array:
+    """Points (k, 3) near the curve `place` of its parameter over smooth `spans` (m,), with chords within `chord` of it.
+
+    Between both ends they lie outside of the curve by so much that the polygon has the area of the curve.
+    """
+    counts = np.ones(len(spans) - 1, dtype=int)
+    while True:
+        parts = [np.linspace(*pair, count, endpoint=False) for pair, count in zip(pairwise(spans), counts, strict=True)]
+        t = np.concatenate([*parts, spans[-1:]])
+        points = place(t)
+        side = np.diff(points, axis=0)[:, None]
+        inner = place(t[:-1, None] + np.diff(t)[:, None] * [0.25, 0.5, 0.75])
+        length = np.maximum(np.linalg.norm(side, axis=2, keepdims=True), 1e-300)
+        off = inner - points[:-1, None]
+        off -= (off * side).sum(axis=2, keepdims=True) * side / length**2
+        allowed = max(min(chord, OWN_DEPARTURE * np.ptp(points, axis=0).max()), 1e-12 * np.abs(points).max())
+        worst = np.maximum.reduceat(np.linalg.norm(off, axis=2).max(axis=1), np.cumsum(counts) - counts)
+        if chord == math.inf or not worst.max() > allowed:
+            break
+        counts = np.where(worst > allowed, np.ceil(1.01 * counts * np.sqrt(worst / allowed)), counts).astype(int)
+    length = length[:, 0]
+    area = length * (4.0 * off[:, 0] + 2.0 * off[:, 1] + 4.0 * off[:, 2]) / 12.0  # Simpson's rule, towards the curve
+    if np.linalg.norm(points[0] - points[-1]) <= ROUNDING * length.sum():
+        move = (area + np.roll(area, 1, axis=0)) / (length + np.roll(length, 1, axis=0))
+        return points + np.vstack([move, move[:1]]) * (chord < math.inf)
+    area[[0, -1]] *= 2.0
+    points[1:-1] += (area[:-1] + area[1:]) / (length[:-1] + length[1:]) * (chord < math.inf)
+    return points
+
+
+def _plane(curves: list[Array], size: float) -> list[Array]:
+    """The curves (k, 2) in their plane, without those that have no length; InputError for curves out of a plane."""
+    z = np.concatenate(curves)[:, 2]
+    if np.ptp(z) > JOINT * size:
+        raise InputError(
+            f"is not plane, z runs from {z.min():g} to {z.max():g} mm: turn it into a plane z = const, or turn off the "
+            "layer of what is no part of the sheet"
+        )
+    return [curve[:, :2] for curve in curves if len(curve) and np.ptp(curve, axis=0).max() > JOINT * size]
+
+
+def _distinct(curves: list[Array], size: float) -> tuple[list[Array], list[str]]:
+    """The curves (k, 2) without those that repeat another one, and a note on them."""
+    lines = np.array([shapely.LineString(curve) for curve in curves])
+    near = np.minimum(2.0 * DEPARTURE * size, 0.1 * shapely.length(lines))  # of short ones neighbours are near
+    one, two = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=near)
+    one, two = one[one < two], two[one < two]
+    same = shapely.hausdorff_distance(lines[one], lines[two]) <= np.minimum(near[one], near[two])
+    twice = np.unique(two[same])
+    if not len(twice):
+        return curves, []
+    kept = [curve for number, curve in enumerate(curves) if number not in set(twice.tolist())]
+    return kept, [f"curves that are drawn twice are read once: {len(twice)}, one from {_place(curves[twice[0]][0])}"]
+
+
+def _joined(curves: list[Array], size: float) -> tuple[list[Array], list[str]]:
+    """Closed curves (k, 2), those made of open ones that meet end to end among them, and a note if rounding parts ends.
+
+    InputError for gaps, by place and width, and for places where more than two ends meet.
+    """
+    given = np.concatenate([curve[[0, -1]] for curve in curves])
+    pairs = cKDTree(given).query_pairs(JOINT * size, output_type="ndarray")
+    graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(given), len(given)))
+    node = connected_components(graph, directed=False)[1]
+    places = given[np.unique(node, return_index=True)[1]]
+    closed, pieces = list[Array](), list[Array]()
+    is_open = node[::2] != node[1::2]
+    for curve, (first, last), apart in zip(curves, node.reshape(-1, 2), is_open, strict=True):
+        (pieces if apart else closed).append(np.vstack([places[first], curve[1:-1], places[last]]))
+    meet = np.bincount(node.reshape(-1, 2)[is_open].ravel(), minlength=len(places))
+    if (loose := places[meet == 1]).size:
+        width, other = (part[:, 1] for part in cKDTree(loose).query(loose, k=2))
+        ends = sorted({(float(w), *sorted((a, int(b)))) for a, (w, b) in enumerate(zip(width, other, strict=True))})
+        listed = [f"{w:.4g} mm from {_place(loose[a])} to {_place(loose[b])}" for w, a, b in ends[:3]]
+        more = f" and {len(ends) - 3} more" if len(ends) > 3 else ""
+        raise InputError(
+            f"curves do not close, gaps of {', '.join(listed)}{more}: draw them end to end, and remove what "
+            "is no part of the sheet or turn its layer off"
+        )
+    if len(many := np.flatnonzero(meet > 2)):
+        raise InputError(
+            f"{meet[many[0]]} curves meet at {_place(places[many[0]])}, one is drawn twice or no part of the outline: "
+            "remove it, or turn its layer off"
+        )
+    rings = closed + [shapely.get_coordinates(one) for one in shapely.get_parts(shapely.line_merge(_lines(pieces)))]
+    away = np.linalg.norm(given - places[node], axis=1)
+    if away.max() <= ROUNDING * size:
+        return rings, []
+    where = f"{away.max():.2g} mm at {_place(given[away.argmax()])}"
+    return rings, [f"ends of curves that are nearly together are joined, they are at most {where} apart"]
+
+
+def _lines(curves: list[Array]) -> Any:
+    """The curves (k, 2) as lines of shapely."""
+    return shapely.MultiLineString([shapely.LineString(curve) for curve in curves])
+
+
+def _place(point: Sequence[float] | Array) -> str:
+    """A point (2,) as messages name it."""
+    return f"({point[0]:.9g}, {point[1]:.9g})"
+
+
+def _region(rings: list[Array], size: float) -> list[Any]:
+    """Corners of the outline, and of its holes from the largest to the smallest; InputError if they bound no region."""
+    rings = [shapely.get_coordinates(shapely.remove_repeated_points(_lines([one]), ROUNDING * size)) for one in rings]
+    for ring in rings:
+        if len(ring) < 4:
+            raise InputError(f"the curve from {_place(ring[0])} encloses no area: remove it, or turn its layer off")
+    outline, *holes = sorted(rings, key=lambda ring: -abs(signed_areas(ring)))
+    reason, _, at = shapely.is_valid_reason(shapely.Polygon(outline, holes)).rstrip("]").partition("[")
+    if at:
+        cause = CAUSES.get(reason, "curves bound no sheet: keep the outline and its holes")
+        x, y = map(float, at.split())
+        raise InputError(f"{cause}, and turn off the layer of the others (at {_place((x, y))})")
+    return [list(map(tuple, one[:-1].tolist())) for one in (outline, *holes)]
 
 
 def write_outline(path: Path, mesh: Any) -> None:
@@ -65,7 +337,7 @@ def write_outline(path: Path, mesh: Any) -> None:
         points = mesh.p[:, loop[1:]].T
         before, after = points - np.roll(points, 1, axis=0), np.roll(points, -1, axis=0) - points
         lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
-        corners = points[(np.abs(cross(before, after)) > STRAIGHT * lengths) | ((before * after).sum(axis=1) < 0.0)]
+        corners = points[(np.abs(cross(before, after)) > ROUNDING * lengths) | ((before * after).sum(axis=1) < 0.0)]
         document.modelspace().add_lwpolyline(corners.tolist(), close=True, dxfattribs={"layer": "CURTAIN"})
     with atomic_path(path) as temporary:
         document.saveas(temporary)
