@@ -1,16 +1,19 @@
 """Named edges of a plane mesh: chains of its boundary by their direction, holes, and named lines of a mesh file.
 
 Outer loops of the boundary, with the mesh on their left, are cut into chains at corners, where they turn by more than
-40 degrees. A chain whose normal departs from that of its chord by more than 45 degrees, such as a semicircle, is cut
-further where it changes between facing up, facing down and upright. "top" is made of the chains that lie at the
-greatest height, or, if there are none, of those that reach it and face up more than sideways, or of all that reach it
-and face up: an arch, both slopes of a gable. The other sides are found in the same way; a chain has one name.
+40 degrees. A chain whose normal departs from that of its chord by more than 45 degrees, such as a semicircle, and a
+loop of one corner or none are cut further where they change between facing up, facing down and upright. "top" is made
+of the chains that lie at the greatest height, or, if there are none, of those that reach it and face up more than
+sideways, or of all that reach it and face up: an arch, both slopes of a gable. Where none does, as at a tip that leans,
+the boundary is cut at corners and where it ceases to face up, and the parts that face up and reach the greatest height
+are taken. So every outline has a top. The other sides are found in the same way. A facet has one name; left and right
+get what top and bottom leave, which of a disk or a drop is nothing or little.
 """
 
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import shapely
@@ -19,10 +22,12 @@ from scipy.spatial import cKDTree
 from macro_fem.fem.cells import cross, signed_areas
 from rve.common import Array, InputError
 
-CORNER = math.radians(40.0)
+Chain: TypeAlias = tuple[np.ndarray, Array]
+"""A part of the boundary: its facets (k,) and their mean normal (2,)."""
+CORNER = math.radians(40.0 + 1e-9)
 """The boundary turns by more than this at a corner. Larger: obtuse corners of a polygon join their sides to one chain.
 Smaller: a coarsely divided arch falls into pieces."""
-BENT = math.cos(math.radians(45.0))
+BENT = math.cos(math.radians(45.0 + 1e-9))
 """Least cosine between the normals of a chain and of its chord; a chain that is bent further is cut again."""
 UPRIGHT = 1e-3
 """A boundary facet whose normal has a smaller vertical component is upright: neither top nor bottom."""
@@ -39,7 +44,7 @@ def named_edges(mesh: Any, holes: list[Array], lines: dict[str, np.ndarray]) -> 
     outer = [loop for loop in loops if signed_areas(mesh.p[:, loop].T) > 0.0]
     inner = _in_order(mesh, [loop for loop in loops if signed_areas(mesh.p[:, loop].T) <= 0.0], holes)
     edges = {"outline": np.concatenate([facets_along(mesh, loop) for loop in outer])}
-    edges |= _sides(mesh, [chain for loop in outer for chain in _chains(mesh, loop)])
+    edges |= _sides(mesh, outer)
     edges |= {f"hole {number}": facets_along(mesh, loop) for number, loop in enumerate(inner, start=1)}
     if len(inner) == 1:
         edges["hole"] = edges["hole 1"]
@@ -139,45 +144,69 @@ def _in_order(mesh: Any, loops: list[np.ndarray], holes: list[Array]) -> list[np
     return [loops[k] for k in sorted(range(len(loops)), key=centres.__getitem__)]
 
 
-def _chains(mesh: Any, loop: np.ndarray) -> list[tuple[np.ndarray, Array]]:
-    """The chains of an outer loop, facets (k,) and mean normal (2,) of each; see the module header."""
-    facets, step = facets_along(mesh, loop), np.diff(mesh.p[:, loop].T, axis=0)
+class Rim(NamedTuple):
+    """An outer loop: its facets (k,), their normals (k, 2) and lengths (k,), and which begin at a corner (k,)."""
+
+    facets: np.ndarray
+    normals: Array
+    lengths: Array
+    is_corner: np.ndarray
+
+    def cut(self, values: np.ndarray, where: np.ndarray | bool = True) -> list[np.ndarray]:
+        """The places of its facets in chains that end at corners and, `where` so, at changes of `values` (k,)."""
+        first = np.flatnonzero(self.is_corner | (where & (values != np.roll(values, 1))))
+        start = first[0] if len(first) else 0
+        return list(np.split(np.roll(np.arange(len(values)), -start), (first - start)[1:]))
+
+    def chains(self, parts: list[np.ndarray]) -> list[Chain]:
+        """Facets and mean normal of each of its parts."""
+        return [(self.facets[one], np.average(self.normals[one], axis=0, weights=self.lengths[one])) for one in parts]
+
+
+def _rim(mesh: Any, loop: np.ndarray) -> Rim:
+    """An outer loop with its corners."""
+    step = np.diff(mesh.p[:, loop].T, axis=0)
     length = np.linalg.norm(step, axis=1)
     normal = np.stack([step[:, 1], -step[:, 0]], axis=-1) / length[:, None]
     before = np.roll(normal, 1, axis=0)
     turn = np.arctan2(cross(before, normal), (before * normal).sum(axis=1))
-    kind = np.where(np.abs(normal[:, 1]) < UPRIGHT, 0.0, np.sign(normal[:, 1]))
-    is_corner = np.abs(turn) > CORNER
-    parts: list[np.ndarray] = []
-    for part in _cut(is_corner):
-        chord = (normal[part] * length[part, None]).sum(axis=0)
-        is_bent = (normal[part] @ chord).min() < BENT * np.linalg.norm(chord) or not is_corner.any()
-        changes = kind[part] != kind[np.roll(part, 1)]
-        changes[0] |= bool(is_corner.any())
-        parts += [part[piece] for piece in _cut(changes)] if is_bent else [part]
-    return [(facets[part], np.average(normal[part], axis=0, weights=length[part])) for part in parts]
+    return Rim(facets_along(mesh, loop), normal, length, np.abs(turn) > CORNER)
 
 
-def _cut(before: np.ndarray) -> list[np.ndarray]:
-    """The places of a closed row in pieces that begin where `before` is true; the whole row if it is nowhere."""
-    first = np.flatnonzero(before)
-    start = first[0] if len(first) else 0
-    return list(np.split(np.roll(np.arange(len(before)), -start), (first - start)[1:]))
+def _chains(rim: Rim) -> list[Chain]:
+    """The chains of an outer loop: those between its corners, bent ones cut; see the module header."""
+    is_bent = np.full(len(rim.facets), rim.is_corner.sum() < 2)
+    for part in rim.cut(is_bent):
+        chord = rim.lengths[part] @ rim.normals[part]
+        is_bent[part] |= (rim.normals[part] @ chord).min() < BENT * np.linalg.norm(chord)
+    kind = np.where(np.abs(rim.normals[:, 1]) < UPRIGHT, 0.0, np.sign(rim.normals[:, 1]))
+    return rim.chains(rim.cut(kind, is_bent))
 
 
-def _sides(mesh: Any, chains: list[tuple[np.ndarray, Array]]) -> dict[str, np.ndarray]:
+def _sides(mesh: Any, loops: list[np.ndarray]) -> dict[str, np.ndarray]:
     """Facets of top, bottom, left and right; see the module header."""
+    rims = [_rim(mesh, loop) for loop in loops]
+    chains, sides = [chain for rim in rims for chain in _chains(rim)], dict[str, np.ndarray]()
     tiny = 1e-6 * float(np.hypot(*np.ptp(mesh.p, axis=1)))
-    found: dict[str, np.ndarray] = {}
     for name, direction in DIRECTIONS.items():
         d = np.array(direction)
-        extreme = (d @ mesh.p).max() - tiny
-        reach = [d @ mesh.p[:, mesh.facets[:, facets].ravel()] for facets, _ in chains]
-        normals = [normal for _, normal in chains]
-        facing = [k for k, n in enumerate(normals) if n @ d > UPRIGHT and reach[k].max() > extreme]
-        level = [k for k in facing if reach[k].min() > extreme]
-        flat = [k for k in facing if normals[k] @ d > (1.0 + 1e-9) * abs(normals[k] @ d[::-1])]
-        if chosen := level or flat or facing:
-            found[name] = np.concatenate([chains[k][0] for k in chosen])
-            chains = [chain for k, chain in enumerate(chains) if k not in chosen]
-    return found
+        height = (d @ mesh.p)[mesh.facets]
+        is_highest = height > height.max() - tiny
+        chosen = _facing(chains, d, UPRIGHT, is_highest.any(axis=0))
+        if not chosen:  # a tip that leans or is a cusp
+            named = [side for other, side in sides.items() if d @ DIRECTIONS[other] > -1.0]
+            halves = [one for rim in rims for one in rim.chains(rim.cut(np.sign(np.round(rim.normals @ d, 9))))]
+            halves = [(np.setdiff1d(facets, np.concatenate([*named, facets[:0]])), normal) for facets, normal in halves]
+            chosen = _facing(halves, d, 0.0, is_highest.any(axis=0))
+        level = [chain for chain in chosen if is_highest[:, chain[0]].all()]
+        flat = [chain for chain in chosen if chain[1] @ d > (1.0 + 1e-9) * abs(chain[1] @ d[::-1])]
+        if best := level or flat or chosen:
+            side = np.concatenate([facets for facets, _ in best])
+            chains = [(np.setdiff1d(facets, side), normal) for facets, normal in chains]
+            sides = {other: np.setdiff1d(facets, side) for other, facets in sides.items()} | {name: side}
+    return sides
+
+
+def _facing(chains: list[Chain], d: Array, least: float, is_highest: np.ndarray) -> list[Chain]:
+    """The chains that face along d (2,), by more than `least`, and have one of the highest facets (n_facets,)."""
+    return [(facets, normal) for facets, normal in chains if normal @ d > least and is_highest[facets].any()]
