@@ -4,6 +4,8 @@ import meshio
 import numpy as np
 import pytest
 import skfem
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from homogenize.laws.net import diagonal_net
@@ -97,6 +99,7 @@ OUTLINES = {
     "turned right": (turned(BOX, -20.0), {"top": 100.0, "bottom": 100.0, "left": 80.0, "right": 80.0}),
     "step": (STEP, {"top": 50.0, "bottom": 100.0, "left": 80.0, "right": 40.0}),
     "diamond": ([[50, 0], [100, 50], [50, 100], [0, 50]], {"top": 200.0 * 0.5**0.5, "bottom": 200.0 * 0.5**0.5}),
+    "slender diamond": ([[60, 0], [80, 40], [60, 80], [40, 40]], {"top": 2.0 * 2000**0.5, "bottom": 2.0 * 2000**0.5}),
     "chamfers": ([[0, 0], [100, 0], [100, 60], [80, 80], [20, 80], [0, 60]], HIP),
     "hips": ([[0, 0], [100, 0], [100, 60], [80, 78], [20, 78], [0, 60]], HIP),
     "spire": ([[0, 0], [100, 0], [50, 173.2]], {"bottom": 100.0, "top": 2.0 * np.hypot(50.0, 173.2)}),
@@ -117,6 +120,55 @@ def test_a_disk_has_an_upper_and_a_lower_half():
     assert found.keys() == {"top", "bottom", "outline"}
     assert found["top"] == pytest.approx(np.pi * 50.0, rel=0.03)
     assert found["top"] + found["bottom"] == pytest.approx(found["outline"])
+
+
+def sides(outline):
+    """Lengths of named edges of a star-shaped outline around (0, 0), and the facets of its sides with their ends."""
+    n = len(outline)
+    cells = np.stack([np.arange(n), np.roll(np.arange(n), -1), np.full(n, n)])
+    mesh = skfem.MeshTri(np.vstack([outline, [0.0, 0.0]]).T, cells)
+    edges = named_edges(mesh, [], {})
+    ends = {name: mesh.p[:, mesh.facets[:, facets]] for name, facets in edges.items()}
+    named = np.concatenate([facets for name, facets in edges.items() if name != "outline"])
+    assert len(np.unique(named)) == len(named)
+    for name, row, sign in (("top", 1, 1.0), ("bottom", 1, -1.0)):
+        assert (sign * ends[name][row]).max() == (sign * outline[:, row]).max()
+    return {name: float(np.hypot(*(end[:, 1] - end[:, 0])).sum()) for name, end in ends.items()}
+
+
+@pytest.mark.parametrize("power", [1, 2, 5])
+def test_a_drop_has_a_top_and_a_bottom_whichever_way_its_tip_points(power):
+    """Its coordinates are whole numbers, so that the chain around it adds up to nothing in both components."""
+    t = 2.0 * np.pi * np.arange(24) / 24
+    drop = np.column_stack([np.sin(t) * np.sin(0.5 * t) ** power, np.cos(t)])[::-1]
+    for degrees in 2.5 * np.arange(144):
+        sides(np.round(1e5 * turned(drop, degrees)))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    radii=st.lists(st.floats(0.05, 1.0), min_size=5, max_size=40),
+    slender=st.floats(0.03, 1.0),
+    degrees=st.floats(0.0, 360.0),
+)
+def test_sides_of_any_outline_depend_on_its_shape_alone(radii, slender, degrees):
+    """Slender jagged ones have tips that lean. A mirror swaps names; places, sizes, first corners and points between
+    corners change nothing."""
+    angle = 2.0 * np.pi * np.arange(len(radii)) / len(radii)
+    star = np.array(radii)[:, None] * np.stack([np.cos(angle), slender * np.sin(angle)], axis=-1)
+    outline = turned(star, degrees)
+    expected = sides(outline)
+    halved = np.stack([outline, 0.5 * (outline + np.roll(outline, -1, axis=0))], axis=1).reshape(-1, 2)
+    swap = {"left": "right", "right": "left"}
+    flip = {"top": "bottom", "bottom": "top"}
+    for other, names, scale in (
+        (np.roll(outline, 2, axis=0), {}, 1.0),
+        (halved, {}, 1.0),
+        (1e3 * outline, {}, 1e3),
+        ((outline * [-1.0, 1.0])[::-1], swap, 1.0),
+        ((outline * [1.0, -1.0])[::-1], flip, 1.0),
+    ):
+        assert sides(other) == pytest.approx({names.get(k, k): scale * one for k, one in expected.items()}, rel=1e-6)
 
 
 def near(x0, y0, x1, y1):

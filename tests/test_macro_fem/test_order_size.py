@@ -147,60 +147,6 @@ def test_the_largest_pitch_divides_the_edge_and_the_next_one_does_not_hold(tmp_p
 
 
 @pytest.mark.slow
-def test_an_outline_goes_to_cad_and_back(tmp_path):
-    """A pentagon with a hole: the same area and corners, round holes, layers that are off, refusals in a sentence."""
-    import ezdxf
-
-    outline = [[0.0, 0.0], [100.0, 0.0], [100.0, 60.0], [50.0, 100.0], [0.0, 60.0]]
-    hole = [(40.0, 30.0), (60.0, 30.0), (50.0, 50.0)]
-    own = {"shape": "outline", "outline": outline, "holes": [hole], "weave_angle": 10.0}
-    tables = {"mesh": {"cells": 8}, "support": {"kind": "top"}}
-    first = solve(macro_fem.read_scene({"curtain": own, **tables}))
-    first.write_dxf(tmp_path / "panel.dxf")
-    panel = ezdxf.readfile(tmp_path / "panel.dxf")
-    rim, cut = panel.modelspace()
-    assert (len(rim), len(cut)) == (5, 3)
-    cut.append(cut[0])  # closed by its corners
-    cut.closed = False
-    panel.saveas(tmp_path / "panel.dxf")
-    panel.layers.add("NOTES").off()
-    panel.modelspace().add_circle((20, 20), 5)
-    panel.modelspace().add_circle((20, 20), 500, dxfattribs={"layer": "NOTES"})
-    line = panel.modelspace().add_line((70, 20), (80, 20))
-    panel.saveas(tmp_path / "gap.dxf")
-    line.destroy()
-    panel.blocks.new("POST").add_circle((0, 0), 5)
-    post = panel.modelspace().add_blockref("POST", (20, 60), dxfattribs={"layer": "NOTES"})
-    panel.saveas(tmp_path / "round.dxf")
-    post.dxf.layer = "0"
-    panel.saveas(tmp_path / "block.dxf")
-    post.destroy()
-    panel.modelspace().add_spline().set_closed([(70, 20, 0), (80, 20, 0), (80, 30, 0), (70, 30, 0)])
-    panel.saveas(tmp_path / "endless.dxf")
-    for name, share in (("panel", 1.0), ("round", 1.0 - math.pi / 312.0)):
-        read = {"shape": "dxf", "file": f"{name}.dxf", "weave_angle": 10.0}
-        scene = macro_fem.read_scene({"curtain": read, **tables}, tmp_path / "scene.toml")
-        assert solve(scene).summary["mass_kg"] == pytest.approx(share * first.summary["mass_kg"], rel=1e-4)
-        assert (scene.curtain.weave_angle, set(hole) <= set(scene.curtain.holes[0])) == (10.0, True)
-    for name, unit in (("empty", 0), ("inches", 1)):
-        ezdxf.new(units=unit).saveas(tmp_path / f"{name}.dxf")
-    for name, text in (("words", "no drawing"), ("cut", (tmp_path / "panel.dxf").read_text()[:300])):
-        (tmp_path / f"{name}.dxf").write_text(text)
-    refused = {"empty": "needs closed curves"} | dict.fromkeys(("words", "cut"), "cannot be read as DXF")
-    refused |= {
-        "endless": "not closed",
-        "gap": r"from \(70, 20\) is not closed",
-        "inches": "unit inches",
-        "block": "block 'POST'",
-    }
-    refused |= {"": "file: is missing", "panel": "holes = .*unknown", "none": "cannot be read: No such file"}
-    for name, words in refused.items():
-        curtain = {"shape": "dxf", "file": name and f"{name}.dxf"} | ({"holes": []} if name == "panel" else {})
-        with pytest.raises(InputError, match=words):
-            macro_fem.read_scene({"curtain": curtain, **tables}, tmp_path / "scene.toml")
-
-
-@pytest.mark.slow
 def test_rings_as_stl_are_closed_and_have_the_volume_of_their_wire(tmp_path):
     import meshio
 

@@ -98,15 +98,18 @@ def _read_curves(path: Path) -> tuple[list[Array], list[str]]:
             if unread := sorted({one.dxftype() for one, _ in parts if one.dxftype().endswith(UNREAD)}):
                 raise InputError(f"{', '.join(unread)}: not read as curves; explode them or turn their layer off")
             drawn = [part for part in parts if part[0].dxftype() in CURVES]
-            every = np.vstack([np.zeros((0, 3)), *(_points(one, math.inf) for one, _ in drawn)])
-            if not len(every):
+            rough = [_points(one, math.inf) for one, _ in drawn]
+            drawn = [part for part, points in zip(drawn, rough, strict=True) if (points != points[:1]).any()]
+            every = np.vstack([np.zeros((0, 3)), *rough])
+            if not drawn:
                 raise InputError(
                     "needs closed curves in model space on layers that are on: polylines, circles, ellipses, splines, "
                     "or lines and arcs that meet end to end"
                 )
             if not np.abs(every).max() <= MOST_MM:  # nor NaN
                 raise InputError(f"a coordinate is no finite number up to {MOST_MM:g}")
-            curves = [_points(one, DEPARTURE * float(np.ptp(every, axis=0).max())) for one, _ in drawn]
+            chord = DEPARTURE * float(np.ptp(every, axis=0).max())
+            curves = [_points(one, chord) for one, _ in drawn]
     except InputError:
         raise
     except Exception as error:  # ezdxf raises whatever damaged data leads to
@@ -180,7 +183,9 @@ def _points(entity: Any, chord: float) -> Array:
             return np.zeros((0, 3))
         tool = (entity if kind == "ELLIPSE" else Ellipse.from_arc(entity)).construction_tool()
         axes = np.array([tool.center, tool.major_axis, tool.minor_axis], dtype=float)
-        return _arc(axes, tool.start_param, tool.start_param + (tool.param_span or 2.0 * math.pi), chord)
+        quarters = math.ceil(tool.param_span / (0.5 * math.pi) - 1e-9)
+        angles = tool.start_param + np.linspace(0.0, tool.param_span, max(quarters, 1) + 1)
+        return _chords(lambda t: np.stack([t**0, np.cos(t), np.sin(t)], axis=-1) @ axes, angles, chord)
     return _polyline_points(entity, chord)
 
 
@@ -200,16 +205,6 @@ def _polyline_points(entity: Any, chord: float) -> Array:
     return np.vstack([np.zeros((0, 3)), *pieces])
 
 
-def _arc(axes: Array, start: float, end: float, chord: float) -> Array:
-    """Points (k, 3) along an ellipse of centre and half axes `axes` (3, 3) between two of its angles."""
-    quarters = math.ceil(abs(end - start) / (0.5 * math.pi) - 1e-9)
-    return _chords(
-        lambda t: np.stack([np.ones_like(t), np.cos(t), np.sin(t)], axis=-1) @ axes,
-        np.linspace(start, end, quarters + 1),
-        chord,
-    )
-
-
 def _chords(place: Callable[[Array], Array], spans: Array, chord: float) -> Array:
     """Points (k, 3) near the curve `place` of its parameter over smooth `spans` (m,), with chords within `chord` of it.
 
@@ -222,7 +217,7 @@ def _chords(place: Callable[[Array], Array], spans: Array, chord: float) -> Arra
         points = place(t)
         side = np.diff(points, axis=0)[:, None]
         inner = place(t[:-1, None] + np.diff(t)[:, None] * [0.25, 0.5, 0.75])
-        length = np.maximum(np.linalg.norm(side, axis=2, keepdims=True), 1e-300)
+        length = np.maximum(np.linalg.norm(side, axis=2, keepdims=True), 1e-150)
         off = inner - points[:-1, None]
         off -= (off * side).sum(axis=2, keepdims=True) * side / length**2
         allowed = max(min(chord, OWN_DEPARTURE * np.ptp(points, axis=0).max()), 1e-12 * np.abs(points).max())
@@ -248,7 +243,7 @@ def _plane(curves: list[Array], size: float) -> list[Array]:
             f"is not plane, z runs from {z.min():g} to {z.max():g} mm: turn it into a plane z = const, or turn off the "
             "layer of what is no part of the sheet"
         )
-    return [curve[:, :2] for curve in curves if len(curve) and np.ptp(curve, axis=0).max() > JOINT * size]
+    return [curve[:, :2] for curve in curves if np.ptp(curve, axis=0).max() > JOINT * size]
 
 
 def _distinct(curves: list[Array], size: float) -> tuple[list[Array], list[str]]:
