@@ -81,7 +81,7 @@ def test_a_drawing_has_its_area_whatever_it_is_made_of(tmp_path, seed):
     document.saveas(tmp_path / "sheet.dxf", fmt="bin" if seed % 3 == 0 else "asc")
     drawing = read_outline(tmp_path / "sheet.dxf")
     assert area(drawing) == pytest.approx(400.0**2 * abs(math.prod(scales)) * expected, rel=1e-4)
-    assert ("lengths are read" in drawing.notes[0], "block" in drawing.notes[-1]) == (True, True)
+    assert ("the drawing has" in drawing.notes[0], "block" in drawing.notes[-1]) == (True, True)
 
 
 def spline_area(points):
@@ -226,8 +226,8 @@ def test_a_drawing_that_is_no_plane_sheet_is_refused_by_place_and_remedy(tmp_pat
 
 
 def test_files_that_are_no_drawings_are_refused_and_units_that_are_not_read(tmp_path):
-    path = file_of(tmp_path, rim, unit=21)
-    with pytest.raises(InputError, match=r"a unit that is not read, ussurveyfeet \(21\): save it in mm"):
+    path = file_of(tmp_path, rim, unit=18)
+    with pytest.raises(InputError, match=r"the unit 18 of .INSUNITS, which is not read: save it in mm"):
         read_outline(path)
     text = path.read_bytes()
     for data, words in ((b"no drawing", "damaged"), (text[:3000], "damaged"), (b"AC1032\0\0", "is a DWG file")):
@@ -258,7 +258,7 @@ def test_a_drawing_in_inches_is_solved_in_mm_and_says_so(tmp_path):
     scene = tmp_path / "scene.toml"
     scene.write_text('curtain = {shape = "dxf", file = "sheet.dxf"}\nmesh.cells = 6\nsupport = {kind = "top"}\n')
     done = CliRunner().invoke(main, ["run", str(scene), "--out", str(tmp_path / "out"), "--no-picture"])
-    note = "sheet.dxf: its unit is inches, lengths are read times 25.4, the drawing has 609.6 x 406.4 mm"
+    note = "sheet.dxf: lengths are in inches of 25.4 mm, the drawing has 609.6 x 406.4 mm"
     assert note in done.output
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["notes"] == [note]

@@ -26,6 +26,11 @@ from macro_fem.scene.tables import MOST_MM
 from rve.common import Array, InputError, atomic_path, require
 from rve.common.texts import read_bytes
 
+MM = 4
+UNITS = {0: ("mm", 1.0), 1: ("inches", 25.4), 2: ("feet", 304.8), MM: ("mm", 1.0), 5: ("cm", 10.0), 6: ("m", 1e3)}
+UNITS |= {7: ("km", 1e6), 9: ("mils", 0.0254), 10: ("yards", 914.4), 13: ("microns", 1e-3), 14: ("dm", 100.0)}
+UNITS |= {21: ("US survey feet", 1.2e6 / 3937.0)}
+"""Name and length, mm, of the units of DXF by their number; of 0 it states none."""
 CURVES = ("LWPOLYLINE", "POLYLINE", "CIRCLE", "ELLIPSE", "SPLINE", "LINE", "ARC", "3DFACE")
 """What an outline is drawn with in a DXF file."""
 UNREAD = ("REGION", "MLINE", "TRACE", "MPOLYGON", "MESH", "BODY", "3DSOLID", "HELIX", "SURFACE", "ACAD_PROXY_ENTITY")
@@ -85,7 +90,7 @@ def read_outline(path: Path) -> Drawing:
 
 def _read_curves(path: Path) -> tuple[list[Array], list[str]]:
     """Points (k, 3) along each curve of a drawing, mm, and notes on its unit and blocks."""
-    import ezdxf.units
+    import ezdxf
 
     try:
         with redirect_stderr(io.StringIO()):  # what ezdxf logs
@@ -114,26 +119,18 @@ def _read_curves(path: Path) -> tuple[list[Array], list[str]]:
         raise
     except Exception as error:  # ezdxf raises whatever damaged data leads to
         raise InputError("cannot be read as DXF: it is damaged, cut off or of another kind; save it anew") from error
-    factor, notes = _millimetres(drawing.units, ezdxf.units)
-    if factor != 1.0:
-        width, height, _ = factor * np.ptp(every, axis=0)
-        notes[0] += f", the drawing has {width:g} x {height:g} mm"
+    if drawing.units not in UNITS:
+        raise InputError(f"states the unit {drawing.units} of $INSUNITS, which is not read: save it in mm")
+    unit, factor = UNITS[drawing.units]
+    width, height, _ = factor * np.ptp(every, axis=0)
+    size = f"the drawing has {width:g} x {height:g} mm"
+    notes = [] if drawing.units == MM else [f"lengths are in {unit} of {factor:g} mm, {size}"]
+    if drawing.units == 0:
+        notes = [f"no unit is stated and mm are read, {size}"]
     if blocks := sorted({name for _, name in drawn if name}):
         listed = ", ".join(map(repr, blocks))
         notes.append(f"curves of the blocks {listed} are read; turn off the layer of what is no part of the sheet")
     return [factor * curve for curve in curves], notes
-
-
-def _millimetres(unit: int, units: Any) -> tuple[float, list[str]]:
-    """The length of a unit of DXF, mm, and a note if it is another; `units`: the module of ezdxf."""
-    if unit == 0:
-        return 1.0, ["it states no unit, its lengths are read as mm"]
-    name = units.unit_name(unit).lower()
-    try:
-        factor = float(f"{units.conversion_factor(unit, units.MM):.9g}")  # ezdxf knows them to 10 digits
-    except (TypeError, ValueError) as error:
-        raise InputError(f"states a unit that is not read, {name} ({unit}): save it in mm") from error
-    return factor, [] if factor == 1.0 else [f"its unit is {name}, lengths are read times {factor:g}"]
 
 
 def _parts(
@@ -324,9 +321,9 @@ def _region(rings: list[Array], size: float) -> list[Any]:
 
 def write_outline(path: Path, mesh: Any) -> None:
     """Write the corners of the boundary of a scikit-fem mesh, mm, as closed polylines of a DXF file."""
-    import ezdxf.units
+    import ezdxf
 
-    document = ezdxf.new(units=ezdxf.units.MM)
+    document = ezdxf.new(units=MM)
     document.layers.add("CURTAIN")
     for loop in boundary_loops(mesh):
         points = mesh.p[:, loop[1:]].T
