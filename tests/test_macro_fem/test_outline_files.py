@@ -229,6 +229,7 @@ def test_files_that_are_no_drawings_are_refused_and_units_that_are_not_read(tmp_
     path = file_of(tmp_path, rim, unit=18)
     with pytest.raises(InputError, match=r"the unit 18 of .INSUNITS, which is not read: save it in mm"):
         read_outline(path)
+    assert read_outline(file_of(tmp_path, rim, unit=6)).notes[0].endswith("600000 x 400000 mm, were mm meant?")
     text = path.read_bytes()
     for data, words in ((b"no drawing", "damaged"), (text[:3000], "damaged"), (b"AC1032\0\0", "is a DWG file")):
         path.write_bytes(data)

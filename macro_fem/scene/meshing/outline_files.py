@@ -123,7 +123,7 @@ def _read_curves(path: Path) -> tuple[list[Array], list[str]]:
         raise InputError(f"states the unit {drawing.units} of $INSUNITS, which is not read: save it in mm")
     unit, factor = UNITS[drawing.units]
     width, height, _ = factor * np.ptp(every, axis=0)
-    size = f"the drawing has {width:g} x {height:g} mm"
+    size = f"the drawing has {width:g} x {height:g} mm{', were mm meant?' if max(width, height) > 1e5 else ''}"
     notes = [] if drawing.units == MM else [f"lengths are in {unit} of {factor:g} mm, {size}"]
     if drawing.units == 0:
         notes = [f"no unit is stated and mm are read, {size}"]
