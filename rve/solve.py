@@ -203,7 +203,7 @@ def table_provenance(
         "r2_mm": cell.r2,
         "b_x_mm": b_x,
         "b_y_mm": b_y,
-        "density_kg_per_mm3": cell.density,
+        "density_kg_per_mm3": cell.material.density_kg_per_mm3,
         "material": asdict(cell.material),
         "areal_mass_kg_per_m2": areal_mass(cell.r1, cell.r2, ring_area, cell.density),
         "method": "direct",

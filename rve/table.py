@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rve.common import Array, InputError, Rows, atomic_path, check_belongs, checksum, json_text, require, sidecar_path
 from rve.common.files import TABLE_FORMAT, AnyPath, Inputs, check_out_file
+from rve.common.records import ByValue
 from rve.common.rings import check_rings
 from rve.common.texts import csv_text, number_column, read_columns, read_json_object
 from rve.geometry.weave import WEAVES
@@ -48,8 +49,8 @@ class RowQuality(Rows):
     iterations: NDArray[np.intp]
 
 
-@dataclass(frozen=True, repr=False)
-class StrainTable:
+@dataclass(frozen=True, eq=False, repr=False)
+class StrainTable(ByValue):
     """A strain-load table of n rows.
 
     alpha_deg, beta_deg (n,); E, S (n, 3); x2_mm, x3_mm (n, 2); unique (n,) bool; status (n,) str; quality: how well

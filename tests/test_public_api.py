@@ -1,7 +1,9 @@
 """What a user meets in a notebook: the public roots from rings to a curtain, and what they return and refuse."""
 
+import copy
 import dataclasses
 import json
+import pickle
 import re
 import subprocess
 import sys
@@ -11,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import sparse
 
 import homogenize
 import macro_fem
@@ -56,6 +59,83 @@ def test_the_answer_balances_its_weight(answer, tmp_path):
     saved = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert saved["mean_height_mm"] == summary["mean_height_mm"]
     assert saved["files"].keys() == {"curtain.vtu", "support_forces.csv", "order.csv"}
+
+
+def records_in(value):
+    """Every record in a value, with those in its fields."""
+    if isinstance(value, list | tuple):
+        return [one for part in value for one in records_in(part)]
+    if not dataclasses.is_dataclass(value):
+        return []
+    return [value, *records_in([getattr(value, item.name) for item in dataclasses.fields(value)])]
+
+
+def assert_same(a, b):
+    """Fields of records and arrays are equal to the bit."""
+    assert type(a) is type(b)
+    if dataclasses.is_dataclass(a):
+        for item in dataclasses.fields(a):
+            assert_same(getattr(a, item.name), getattr(b, item.name))
+    elif isinstance(a, list | tuple):
+        for one, other in zip(a, b, strict=True):
+            assert_same(one, other)
+    elif sparse.issparse(a):
+        assert (a != b).nnz == 0
+    elif not callable(a):
+        np.testing.assert_equal(a, b)
+
+
+@pytest.fixture(scope="module")
+def nouns(table, answer, tmp_path_factory):
+    """Every public record, after it was used."""
+    out = tmp_path_factory.mktemp("nouns")
+    answer.save(out, picture=False)
+    cell, law, E = rve.Cell(), homogenize.elastic_law(homogenize.default_law()), np.array([[0.1, 0.0, 0.1]])
+    law.strength.utilisation(E)
+    scene = macro_fem.Scene(macro_fem.Rectangle(66, 63), [macro_fem.Hooks(pitch=66)], macro_fem.Mesh(4))
+    every = macro_fem.solve(scene, macro_fem.EveryRing(cell))
+    still, n = rve.slack_rings(every.found.mesh), len(every.found.centre)
+    at_rest = rve.ring_places(still), np.zeros((n, 3)), np.zeros((n, 3), bool), still.centre
+    drawn = [still.drawn, rve.step_rings(still, np.ones(2 * n), *at_rest)]
+    of_rings = [rve.DirectOptions(), rve.FiniteOptions(), rve.RoundBody((0.0, 0.0, -50.0), 5.0, 1.0, "ball")]
+    of_rings += [rve.support(cell, [0.5, 0.0, 0.5]), rve.pulled_ring(5.0, 0.5), rve.cell_forces(E[0] + 1.0, cell)]
+    of_rings += [rve.HalfSpace((0.0, 1.0, 0.0), -99.0), rve.locked_arrangements(cell), rve.nearest_poses(E, cell)]
+    laws = [law, law.half_spaces(), law.cut(E), law.response(E), homogenize.ClothLaw(), homogenize.diagonal_net()]
+    laws += [homogenize.FitOptions(), homogenize.read_law_interval(), homogenize.locked_strain(law, [20.0], [30.0])]
+    at, kinds = [0.0, 0.0, 0.0], macro_fem
+    scenes = [kinds.Disk(5), kinds.Outline([[0, 0], [1, 0], [1, 1]]), kinds.MeshFile("a.msh"), kinds.Rail()]
+    scenes += [kinds.Edge("left", along=[[0, 0], [0, 9]]), kinds.Point([0, 0]), kinds.Top(), kinds.Track(fullness=1.2)]
+    scenes += [kinds.EdgeLoad("top", [0, 1]), kinds.PointLoad([0, 0], [0, 1]), kinds.PatchLoad([0, 0], 9, [0, 1])]
+    scenes += [
+        kinds.Wind([0, 1], speed=5),
+        kinds.Bar(2),
+        kinds.Combination("a", bar=1.5),
+        kinds.Floor(),
+        kinds.Start(at),
+    ]
+    scenes += [kinds.Wall([1, 0]), kinds.Sphere(at, 9), kinds.Cylinder([0, 0, 1], 9), kinds.Box(at, [9, 9, 9])]
+    scenes += [kinds.Motion(1.0), kinds.Ball(9, 1, at), kinds.OnDemand(cell), kinds.EveryRing(cell)]
+    size = macro_fem.largest_that_holds(scene, None, "pitch", (33.0, 66.0), 0.1)
+    ways = [homogenize.fit(table), rve.fit_rings(np.zeros((1, 3), int), np.zeros((1, 3)), np.eye(3)[2:], cell)]
+    answers = [table, answer, answer.rings(), every, size, macro_fem.read_curtain(out)]
+    return records_in([of_rings, laws, scenes, drawn, ways, answers])
+
+
+def test_every_public_record_is_copied_pickled_and_replaced_as_it_is(nouns):
+    """Equal to the record where records of its kind are equal by their fields, and to be used as it is."""
+    by_kind = {type(noun): noun for noun in nouns}
+    names = [getattr(package, name) for package in (rve, homogenize, macro_fem) for name in package.__all__]
+    public = {kind for kind in names if isinstance(kind, type) and dataclasses.is_dataclass(kind)}
+    assert public <= by_kind.keys()
+    for kind in public:
+        noun = by_kind[kind]
+        ways = (copy.copy, copy.deepcopy, dataclasses.replace, lambda noun: pickle.loads(pickle.dumps(noun)))
+        for again in (way(noun) for way in ways):
+            assert_same(noun, again)
+            assert_same(noun, dataclasses.replace(again))
+            assert str(again) == str(noun)
+            if kind.__eq__ is not object.__eq__:
+                assert again == noun
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from rve.common import Array, InputError, Rows, Typed
+from rve.common import Array, ByValue, InputError, Rows, Typed
 from rve.common.rings import ArealMass, Length
 
 SAME_RINGS = 1e-6
@@ -46,8 +46,8 @@ class CellInfo(Typed):
             raise InputError(f"{where}: r2, b_x and b_y over r1 are {given}, those of {own} are {here}")
 
 
-@dataclass(frozen=True)
-class HalfSpaces:
+@dataclass(frozen=True, eq=False)
+class HalfSpaces(ByValue):
     """Half-spaces S_i:E <= h_i with S_i positive semidefinite and of unit trace.
 
     S (m, 3); h (m,); extra (m,): by how much each is widened per unit of tau (`homogenize.laws.giving`), or None.
@@ -58,7 +58,7 @@ class HalfSpaces:
     extra: Array | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Cut(Rows):
     """For each strain the half-space that it violates most: S (n, 3) of unit trace, h (n,), violation S:E - h (n,).
 
@@ -71,8 +71,8 @@ class Cut(Rows):
     extra: Array | None = None
 
 
-@dataclass(frozen=True)
-class Response:
+@dataclass(frozen=True, eq=False)
+class Response(ByValue):
     """Elastic answer beyond locking: energy (n,), S = dPsi/dE (n, 3), C (n, 3, 3), closest locked strain E_star (n, 3).
 
     The tangent maps tensor components to tensor components, S = C dE with dE the triple (dE11, dE12, dE22); the factor

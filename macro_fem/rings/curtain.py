@@ -16,6 +16,7 @@ from macro_fem.scene.meshing.mesh_files import read_mesh_file
 from rve import Cell, cell_of_sides
 from rve.common import Array, Index, InputError, Rows, Typed, check_belongs, read_json_object, read_typed, types_of
 from rve.common.materials import STEEL, Material
+from rve.common.records import ByValue
 from rve.common.rings import check_rings
 
 SIDES = ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm")
@@ -63,8 +64,8 @@ def read_told(summary: dict[str, Any], source: str) -> Told:
     return read_typed(Told, {key: summary[key] for key in types_of(Told) if key in summary}, f"{source}:")
 
 
-@dataclass(frozen=True)
-class Curtain:
+@dataclass(frozen=True, eq=False)
+class Curtain(ByValue):
     """A solved curtain in its own axes, with what its summary tells; source: where it comes from.
 
     X (p, 2), x (p, d): corners before and after, mm, d = 2 in the plane and 3 in space; triangles (t, 3) of corner

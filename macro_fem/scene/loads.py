@@ -40,12 +40,12 @@ HALVINGS = 60
 
 
 def areal_mass(scene: Scene, cell: CellInfo | None) -> float:
-    """Areal mass in kg/m2 of the scene, else of the law; InputError if neither knows."""
+    """Areal mass in kg/m2 of the scene, else of the law, times the factor on weight; InputError if neither knows."""
     if scene.curtain.areal_mass is not None:
-        return scene.curtain.areal_mass
+        return scene.weight * scene.curtain.areal_mass
     if cell is None:
         scene.refuse("[curtain] areal_mass: is missing, and the law has no rings to tell it")
-    return cell.areal_mass_kg_per_m2
+    return scene.weight * cell.areal_mass_kg_per_m2
 
 
 def weight_per_area(scene: Scene, cell: CellInfo | None) -> Array:

@@ -32,7 +32,7 @@ class Scene:
     """The sheet, and the `items` that hold, load and meet it, in any order.
 
     `material`: of the rings, in place of the law's (`homogenize.with_material`). `source` names the scene's file, in
-    whose folder relative mesh files are.
+    whose folder relative mesh files are. `weight`: factor on the weight of the mesh, of a combination of loads.
 
     >>> from macro_fem import Bar, Hooks, Rectangle
     >>> Scene(Rectangle(3000, 2500), [Hooks(pitch=200), Bar(mass=12)]).support[0].pitch
@@ -50,6 +50,7 @@ class Scene:
     combination: tuple[Combination, ...] = ()
     source: Path = Path("scene")
     drawing: str | None = None
+    weight: float = 1.0
 
     def __post_init__(self) -> None:
         """Check the material; InputError for items that are none."""

@@ -20,7 +20,7 @@ class Shape(Entry):
     kinds: ClassVar[dict[str, type[Any]]] = {}
     holes: tuple[Polygon, ...] = ()
     weave_angle: Degrees = 0.0
-    areal_mass: Annotated[float, Meta(ge=0.0, le=1e6)] | None = None
+    areal_mass: Annotated[float, Meta(ge=0.0, le=100.0, title="kg/m2")] | None = None
 
     def __post_init__(self) -> None:
         """Axes of the weave become angles, then every field is checked."""

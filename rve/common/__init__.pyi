@@ -21,6 +21,7 @@ from .progress import heard_by as heard_by
 from .progress import part_of as part_of
 from .progress import tell as tell
 from .records import Array as Array
+from .records import ByValue as ByValue
 from .records import Flags as Flags
 from .records import Index as Index
 from .records import Rows as Rows

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rve.common import Array, Flags, Index
+from rve.common import Array, ByValue, Flags, Index
 from rve.geometry.cell import Cell
 from rve.geometry.pose import Pose, start_pose
 from rve.geometry.ring_pair import are_linked, dot, local_minima
@@ -43,8 +43,8 @@ def offsets(pose: Pose, cell: Cell) -> Array:
     return np.asarray(cell.r1 * (off[..., :1] * pose.a1[:, None] + off[..., 1:] * pose.a2[:, None]))
 
 
-@dataclass(frozen=True)
-class Fit:
+@dataclass(frozen=True, eq=False)
+class Fit(ByValue):
     """How placed rings fit.
 
     gap_mm (n,): smallest gap to any neighbour, negative where they overlap, inf where none is near; links,

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common import Array, Flags, NotConverged, Rows, part_of
+from rve.common.records import ByValue
 from rve.common.tensor import WEIGHT, dyad, eigenvalues
 from rve.directions import product
 from rve.equilibrium.dead_load import DeadLoad
@@ -55,8 +56,8 @@ _LADDER = (
 short of, and the first and last complementarity. Stiff springs come first: with weak ones some cells lock."""
 
 
-@dataclass(frozen=True)
-class LockedArrangements:
+@dataclass(frozen=True, eq=False)
+class LockedArrangements(ByValue):
     """Locked poses of a cell, their strains E (m, 3), and the reference sides in r1 of the strain, in weave axes."""
 
     pose: Pose
@@ -75,7 +76,7 @@ class LockedArrangements:
         return np.concatenate([E, share.reshape(len(E), -1), normal.reshape(len(E), -1)], axis=1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NearestPoses(Rows):
     """Admissible poses at n strains, in weave axes.
 
