@@ -13,7 +13,7 @@ from homogenize import laws
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.stored import SCHEMA, UNITS, StoredLaw
 from homogenize.strength import Strength, read_strength
-from rve.common import Typed, read_json_object, read_typed, shown
+from rve.common import Typed, read_as, read_json_object, read_typed, shown
 from rve.common.rings import check_rings
 
 DEFAULT_LAW = Path(__file__).parent / "data" / "rings_10.json"
@@ -63,7 +63,8 @@ def load_law(path: str | Path) -> StoredLaw:
 
     InputError names file, key and value of what this version does not read.
     """
-    found = read_typed(LawEntries, read_json_object(path), f"{path}:")
+    with read_as("law", path):
+        found = read_typed(LawEntries, read_json_object(path), f"{path}:")
     strength = found.strength
     check_rings(found.cell or {}, f"{path}: cell")
     return replace(

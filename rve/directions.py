@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rve.common import AnyPath, Array, InputError, number_column, read_columns, shown
+from rve.common import AnyPath, Array, InputError, number_column, read_as, read_columns, shown
 from rve.geometry.weave import FOUR_IN_ONE, Weave
 
 MOST_VALUES = 100_000
@@ -85,7 +85,8 @@ def graded_grid(weave: Weave = FOUR_IN_ONE) -> LoadDirections:
 
 def read_loads(path: AnyPath) -> LoadDirections:
     """Load directions from the columns alpha_deg, beta_deg of a CSV file; raises InputError."""
-    columns = read_columns(path, LoadDirections._fields)
+    with read_as("list of loads", path):
+        columns = read_columns(path, LoadDirections._fields, LoadDirections._fields)
     known = [True] * len(columns["alpha_deg"])
     if len(known) > MOST_VALUES:
         raise InputError(f"{path}: has {len(known)} load directions, at most {MOST_VALUES} are allowed")

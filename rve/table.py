@@ -18,7 +18,7 @@ from rve.common import Array, InputError, Rows, atomic_path, check_belongs, chec
 from rve.common.files import TABLE_FORMAT, AnyPath, Inputs, check_out_file
 from rve.common.records import ByValue
 from rve.common.rings import check_rings
-from rve.common.texts import csv_text, number_column, read_columns, read_json_object
+from rve.common.texts import csv_text, number_column, read_as, read_columns, read_json_object
 from rve.geometry.weave import WEAVES
 
 if TYPE_CHECKING:
@@ -163,7 +163,8 @@ def read_table(path: AnyPath) -> StrainTable:
     an older version and holds none. A strain counts as unique where the column `unique` is missing or its cell empty.
     Raises InputError naming file, line, column and value.
     """
-    columns = read_columns(path, _REQUIRED)
+    with read_as("strain-load table", path):
+        columns = read_columns(path, _REQUIRED, [*COLUMNS, "branch", *_PARTS["compliance"], *_PARTS["strength"]])
     status = np.array([text.strip() for text in columns["status"]])
     good = (status == "converged").tolist()
 

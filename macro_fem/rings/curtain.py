@@ -3,6 +3,7 @@
 Both come from an answer in memory, or from the files of `macro_fem run`.
 """
 
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +19,7 @@ from rve.common import Array, Index, InputError, Rows, Typed, check_belongs, rea
 from rve.common.materials import STEEL, Material
 from rve.common.records import ByValue
 from rve.common.rings import check_rings
+from rve.common.texts import read_as
 
 SIDES = ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm")
 
@@ -125,8 +127,9 @@ def read_curtain(path: str | Path) -> Curtain:
     InputError in one sentence for files that are none, or not of the same run.
     """
     vtu = curtain_file(path)
-    mesh, record = read_mesh_file(vtu), vtu.parent / "summary.json"
-    known = read_json_object(record)
+    record = vtu.parent / "summary.json"
+    with nullcontext() if Path(path).suffix == ".vtu" else read_as("folder of a curtain", path):
+        mesh, known = read_mesh_file(vtu), read_json_object(record)
     check_belongs(vtu, record, known, "run macro_fem again, or put the two files of one run side by side")
     if "E_11_12_22" not in mesh.cell_data:
         raise InputError(f"{vtu}: has no field E_11_12_22; is it the curtain.vtu of macro_fem run?")

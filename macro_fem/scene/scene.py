@@ -17,7 +17,7 @@ from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.shapes import Mesh, MeshFile, Outline, Shape
 from macro_fem.scene.sites import Support
 from macro_fem.scene.tables import Combination, Item, LiveLoad, Load, Solver, Vector, in_3d, leaves_plane
-from rve.common import Array, InputError, Typed, read_toml, read_typed, refuse_unknown, shown
+from rve.common import Array, InputError, Typed, read_as, read_toml, read_typed, refuse_unknown, shown
 from rve.common.materials import described
 
 Kind = TypeVar("Kind")
@@ -116,7 +116,8 @@ class Scene:
 
 def load_scene(path: str | Path) -> Scene:
     """The scene in a TOML file; InputError names file, key and value of the first thing that is wrong."""
-    return read_scene(read_toml(path), path)
+    with read_as("scene", path):
+        return read_scene(read_toml(path), path)
 
 
 def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:

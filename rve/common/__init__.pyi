@@ -29,6 +29,7 @@ from .texts import csv_text as csv_text
 from .texts import digits as digits
 from .texts import number_column as number_column
 from .texts import numbers_of as numbers_of
+from .texts import read_as as read_as
 from .texts import read_columns as read_columns
 from .texts import read_json_object as read_json_object
 from .texts import read_toml as read_toml

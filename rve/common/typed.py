@@ -138,7 +138,7 @@ def refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str, w
     for key, value in table.items():
         if key not in known:
             named = f"{key!s:.80} = {shown(value)}" if what == "key" else f"{key!s:.80}"
-            listed = f"{_meant(key, known)}known are {', '.join(known) or 'none'}"
+            listed = f"{did_you_mean(key, known)}known are {', '.join(known) or 'none'}"
             raise InputError(f"{where} {named}: unknown {what}; {listed}")
 
 
@@ -158,31 +158,41 @@ def not_one_of(value: Any, known: Iterable[str]) -> str:
     'is not one of top, hooks; did you mean hooks?'
     """
     known = list(known)
-    return f"is not one of {', '.join(known)}; {_meant(value, known)}".rstrip("; ")
+    return f"is not one of {', '.join(known)}; {did_you_mean(value, known)}".rstrip("; ")
 
 
-def _meant(word: Any, known: Iterable[str]) -> str:
-    """The word of those known that is nearest, whatever its case, blanks and lines."""
+def did_you_mean(word: Any, known: Iterable[str]) -> str:
+    """A question for the word that is nearest of those known, "" if none is near.
 
-    def plain(text: Any) -> str:
-        return re.sub(r"[\s_-]", "", str(text)[:80]).casefold()
+    >>> did_you_mean("e 11", ["E11", "alpha_deg"])
+    'did you mean E11? '
+    """
+    return "".join(f"did you mean {near}? " for near in nearest(word, known))
 
-    words = {plain(one): one for one in known}
-    return "".join(f"did you mean {words[near]}? " for near in difflib.get_close_matches(plain(word), words, 1))
+
+def nearest(word: Any, known: Iterable[str]) -> list[str]:
+    """The word that is nearest of those known, whatever its case and blanks; none if none is near."""
+    words = {folded(one): one for one in known}
+    return [words[near] for near in difflib.get_close_matches(folded(word), words, 1)]
+
+
+def folded(word: Any) -> str:
+    """The first letters of a word without case, blanks and lines, by which words are compared."""
+    return re.sub(r"[\s_-]", "", str(word)[:80]).casefold()
 
 
 def alone(text: str, unit: str = "") -> str:
-    """How the number in a text is written; "" if there is none.
+    """How the number in a text is written; "" if there is none, and none that is written in another way.
 
     >>> alone("0,5"), alone("0.5 kN", "N"), alone("5 mm")
-    ('write 0.5, with a decimal point', 'write the number alone, in N: 500', 'write the number alone: 5')
+    ('has a decimal comma; write 0.5', 'write the number alone, in N: 500', 'write the number alone: 5')
     """
     found = NUMBER.fullmatch(text)
     if not found:
         return ""
     number, behind = found[1].replace(",", "."), found[2] or ""
     if not behind:
-        return f"write {number}, with a decimal point" if "," in found[1] else f"write {number}, without quotes"
+        return f"has a decimal comma; write {number}" if "," in found[1] else ""
     factor = 1.0 if behind == unit or not unit else UNITS.get(unit, {}).get(behind)
     value = "" if factor is None else f": {float(number) * factor:g}"
     return f"write the number alone{', in ' * bool(unit)}{unit}{value}"
@@ -201,12 +211,12 @@ def _words(what: str, value: Any, kind: Any) -> str:
     units, hint = {_unit(number) for number in numbers}, ""
     unit = units.pop() if len(units) == 1 else ""
     if isinstance(value, str) and re.search("`.*(float|int).*`, got", what):
-        hint = alone(value, unit)
+        hint = alone(value, unit) or "write it without quotes" * bool(NUMBER.fullmatch(value))
     elif isinstance(value, int | float) and unit and re.search("[<>]", what):
         told += f" {unit}"
         hint = _in_other_unit(value, numbers[0])
     elif isinstance(value, list) and (length := re.search(r"length (\d+)$", what)) and len(value) == 2 * int(length[1]):
-        hint = "write decimals with a point"
+        hint = "a decimal comma is written as a point"
     return told[0].lower() + told[1:] + ("; " * bool(hint)) + hint
 
 
