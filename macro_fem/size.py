@@ -18,6 +18,7 @@ from macro_fem.scene.tables import Bar, Item, Wind
 from rve import solve_table, with_rings
 from rve.common import InputError, csv_text, digits, job, part_of, shown, write_text
 from rve.common.drawing.plane import new_axes, save_figure
+from rve.common.typed import not_one_of
 
 VARIED: dict[str, tuple[str, str, Callable[[Item], bool]]] = {
     "pitch": ("mm", "hooks or runners", lambda item: bool(getattr(item, "has_hooks", False))),
@@ -163,7 +164,7 @@ def _check(scene: Scene, who: Any, vary: str) -> None:
     if scene.motion is not None:
         scene.refuse("[motion]: is for a curtain over time, which is not sized")
     if vary not in VARIED:
-        raise InputError(f"--vary = {shown(vary)}: is not one of {', '.join(VARIED)}")
+        raise InputError(f"--vary = {shown(vary)}: {not_one_of(vary, VARIED)}")
     _, what, has = VARIED[vary]
     if vary == "r2":
         if not isinstance(who, OnDemand):

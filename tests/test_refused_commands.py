@@ -29,7 +29,7 @@ rve table --out new.csv --weave 6in1 -> '6in1' is not one of '4-in-1', '6-in-1';
 rve table --out new.csv --r1 '6 cm' -> '6 cm' is not a number; write the number alone, in mm: 60
 rve table --out new.csv --density '8 g/cm3' -> write the number alone, in kg/m3: 8000
 rve table --out new.csv --r2 0,5 -> '0,5' is not a number; has a decimal comma; write 0.5
-rve table --out new.csv --density 7.85 -> --density = 7.85: expected a number >= 100.0 kg/m3; did you mean 7850, from g/cm3
+rve table --out new.csv --density 7.85 -> --density = 7.85: expected a number >= 100.0 kg/m3; did you mean 7850, from
 rve table --out new.csv --material 'Titanium grade2' -> did you mean titanium grade 2?
 rve table --out new.csv --material {"a" * 999} -> known are steel
 rve sweep --out tables --r1 5 --r2 0.5 --ringz -> did you mean --rings?

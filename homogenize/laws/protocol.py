@@ -43,7 +43,20 @@ class CellInfo(Typed):
         shapes = [np.array([one.r2_mm, one.b_x_mm, one.b_y_mm]) / one.r1_mm for one in (other, self)]
         if np.abs(np.subtract(*shapes)).max() > SAME_RINGS:
             given, here = (", ".join(f"{x:.6g}" for x in one) for one in shapes)
+            theirs, mine = other.weave(), self.weave()
+            if theirs and mine and theirs != mine:
+                raise InputError(f"{where}: has the weave {theirs}, {own} the weave {mine}; give both the same one")
             raise InputError(f"{where}: r2, b_x and b_y over r1 are {given}, those of {own} are {here}")
+
+    def weave(self) -> str:
+        """The name of the weave and its grain, by the sides of the reference cell; "" if no weave has them."""
+        from rve import cell_of_sides  # which brings the solver of every ring
+
+        try:
+            cell = cell_of_sides(self.r1_mm, self.r2_mm, (self.b_x_mm, self.b_y_mm))
+        except InputError:
+            return ""
+        return f"{cell.weave.name} with grain {cell.grain}"
 
 
 @dataclass(frozen=True, eq=False)

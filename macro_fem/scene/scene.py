@@ -19,6 +19,7 @@ from macro_fem.scene.sites import Support
 from macro_fem.scene.tables import Combination, Item, LiveLoad, Load, Solver, Vector, in_3d, leaves_plane
 from rve.common import Array, InputError, Typed, read_as, read_toml, read_typed, refuse_unknown, shown
 from rve.common.materials import described
+from rve.common.typed import not_one_of
 
 Kind = TypeVar("Kind")
 PARTS: dict[str, type[Typed]] = {"mesh": Mesh, "load": Load, "solver": Solver, "start": Start, "motion": Motion}
@@ -126,7 +127,16 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     >>> read_scene({"curtain": {"width": 1000.0, "height": 500.0}, "support": {"kind": "top"}}).support
     (Top(gather=1.0, move=(0.0, 0.0)),)
     """
-    refuse_unknown(data, ("curtain", *LISTS, *PARTS, "material", "combination"), f"{source}:", "table")
+    tables = ("curtain", *LISTS, *PARTS, "material", "combination")
+    for name in data if isinstance(data, dict) else ():
+        if name not in tables and _home(name):
+            raise InputError(f"{source}: {shown(name)}: unknown table; {_home(name)}")
+    refuse_unknown(data, tables, f"{source}:", "table")
+    for entry in _entries(data.get("load")):
+        if "kind" in entry:
+            kind = entry["kind"]
+            told = f"write [[load.{kind}]]" if kind in [*LiveLoad.kinds] else not_one_of(kind, LiveLoad.kinds)
+            raise InputError(f"{source}: [load] kind = {shown(kind)}: {told}")
     for name in ("curtain", "load"):
         if not isinstance(data.get(name, {}), dict):
             raise InputError(f"{source}: [{name}] is not one table")
@@ -157,6 +167,19 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     return scene
 
 
+def _entries(tables: Any) -> list[dict[str, Any]]:
+    """Tables of a list that may be a single one."""
+    return [one for one in (tables if isinstance(tables, list) else [tables]) if isinstance(one, dict)]
+
+
+def _home(word: Any) -> str:
+    """How a scene names a kind, "" if none has this name."""
+    lists = [f"[[load.{word}]]" for kind in LiveLoad.kinds if kind == word]
+    lists += [f'[[{name}]] kind = "{word}"' for name, base in LISTS.items() for kind in base.kinds if kind == word]
+    lists += [f'[curtain] shape = "{word}"' for kind in Shape.kinds if kind == word]
+    return f"write {' or '.join(lists)}" if lists else ""
+
+
 def _from_dxf(curtain: dict[str, Any], source: Path) -> dict[str, Any]:
     """The table of an outline in place of one that names a DXF file."""
     file = curtain.pop("file", None)
@@ -184,7 +207,11 @@ def read_records(
             raise InputError(f"{where} = {shown(table)}: is not a table")
         kind = table.get(word)
         if not isinstance(kind, str) or kind not in kinds:
-            raise InputError(f"{where} {word} = {shown(kind)}: is not one of {', '.join(kinds)}")
+            if word not in table:
+                home = "".join(_home(key) for key in table if key in kinds)
+                raise InputError(f"{where} {word}: is missing; {home or 'it is one of ' + ', '.join(kinds)}")
+            home = f"; {_home(kind)}".rstrip("; ")
+            raise InputError(f"{where} {word} = {shown(kind)}: {not_one_of(kind, kinds)}{home}")
         rest = {key: value for key, value in table.items() if key != word}
         found.append(read_typed(kinds[kind], rest, f"{where} ({kind})" if word == "kind" else where))
     return found

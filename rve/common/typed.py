@@ -210,12 +210,12 @@ def _words(what: str, value: Any, kind: Any) -> str:
     )
     units, hint = {_unit(number) for number in numbers}, ""
     unit = units.pop() if len(units) == 1 else ""
-    if isinstance(value, str) and re.search("`.*(float|int).*`, got", what):
+    if isinstance(value, str) and re.search("`.*(float|int|array).*`, got", what):
         hint = alone(value, unit) or "write it without quotes" * bool(NUMBER.fullmatch(value))
     elif isinstance(value, int | float) and unit and re.search("[<>]", what):
         told += f" {unit}"
         hint = _in_other_unit(value, numbers[0])
-    elif isinstance(value, list) and (length := re.search(r"length (\d+)$", what)) and len(value) == 2 * int(length[1]):
+    elif isinstance(value, list) and f"length {len(value) / 2:g}, got" in what:
         hint = "a decimal comma is written as a point"
     return told[0].lower() + told[1:] + ("; " * bool(hint)) + hint
 
