@@ -14,6 +14,7 @@ from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.stored import SCHEMA, UNITS, StoredLaw
 from homogenize.strength import Strength, read_strength
 from rve.common import Typed, read_as, read_json_object, read_typed, shown
+from rve.common.arguments import checked
 from rve.common.rings import check_rings
 
 DEFAULT_LAW = Path(__file__).parent / "data" / "rings_10.json"
@@ -53,6 +54,7 @@ def default_law() -> StoredLaw:
     return load_law(DEFAULT_LAW)
 
 
+@checked
 def strength_of_law(law: MembraneLaw) -> Strength | None:
     """The strength of the rings behind `law`; None if it has none, as laws without a file and those of old tables."""
     return law.strength if isinstance(law, StoredLaw) else None

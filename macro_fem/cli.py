@@ -240,7 +240,7 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animatio
 @main.command(epilog="Example: macro_fem compare scene.toml --law law.json --out both.json")
 @_ring_options
 @click.option("--out", type=PATH, help="File for the numbers, JSON.")
-def compare(scene: Path, law_path: Path | None, space: bool, start: str, out: Path | None) -> None:
+def compare(scene: Path, law_path: Path | None, space: bool, start: Any, out: Path | None) -> None:
     """Solve SCENE as a membrane and ring by ring, and print both side by side.
 
     Exit code 0: both converged; 1: one of them did not; 2: bad input.

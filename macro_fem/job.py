@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from homogenize import (
     LawInterval,
@@ -29,12 +29,14 @@ from macro_fem.scene.tables import Combination, LiveLoad
 from macro_fem.solution import CurtainSolution
 from rve import Cell
 from rve.common import Cache, InputError, check_out_job, noted_if_stopped, part_of
+from rve.common.arguments import checked
 
 Who = MembraneLaw | LawInterval | OnDemand | EveryRing | None
 """Who answers: a law, the interval of laws of a table, a law asked of the rings on the way, or every ring; None for the
 law of rings with r1 = 5 mm and r2 = 0.5 mm."""
 
 
+@checked
 def solve(scene: Scene, who: Who = None) -> Solution:
     """The answer to a scene.
 
@@ -180,7 +182,10 @@ def run_rings(
     return solve(scene, EveryRing(law, **how)).save(out, picture=picture, html=html, inputs=inputs)
 
 
-def compare(scene: Scene, law: MembraneLaw | None = None, *, space: bool = True, start: str = "slack") -> Comparison:
+@checked
+def compare(
+    scene: Scene, law: MembraneLaw | None = None, *, space: bool = True, start: Literal["slack", "disk"] = "slack"
+) -> Comparison:
     """The membrane on the mesh of the scene, and its rings from a start "slack" or "disk", see `EveryRing`.
 
     InputError for scenes that one of both cannot be.

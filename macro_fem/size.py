@@ -17,6 +17,7 @@ from macro_fem.scene.shapes import Rectangle
 from macro_fem.scene.tables import Bar, Item, Wind
 from rve import solve_table, with_rings
 from rve.common import InputError, csv_text, digits, job, part_of, shown, write_text
+from rve.common.arguments import checked
 from rve.common.drawing.plane import new_axes, save_figure
 from rve.common.typed import not_one_of
 
@@ -69,6 +70,7 @@ class Size:
         text = f"{self.vary} = {self.value:.6g} {VARIED[self.vary][0]} is the last that holds with a factor"
         return f"{text} {self.factor_asked:g}: {digits(self.factor)} ({self.weakest})"
 
+    @checked
     def save(self, folder: str | Path, *, picture: bool = True) -> dict[str, Any]:
         """Write size.json, size.csv and size.png into `folder`; the record."""
         record = asdict(self)
@@ -81,6 +83,7 @@ class Size:
         return record
 
 
+@checked
 def largest_that_holds(
     scene: Scene, who: MembraneLaw | LawInterval | OnDemand | None, vary: str, ends: tuple[float, float], factor: float
 ) -> Size:

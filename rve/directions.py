@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rve.common import AnyPath, Array, InputError, number_column, read_as, read_columns, shown
+from rve.common.arguments import checked
 from rve.geometry.weave import FOUR_IN_ONE, Weave
 
 MOST_VALUES = 100_000
@@ -42,6 +43,7 @@ class LoadDirections(NamedTuple):
     beta_deg: Array
 
 
+@checked
 def grid(step: float = 5.0, weave: Weave = FOUR_IN_ONE) -> LoadDirections:
     """The paper's grid: alpha from 0 to 45 and beta from 0 to 90 degrees in steps of `step`, beta running fastest.
 
@@ -71,6 +73,7 @@ def product(alpha: Array, beta: Array) -> LoadDirections:
     return LoadDirections(a.ravel(), b.ravel())
 
 
+@checked
 def graded_grid(weave: Weave = FOUR_IN_ONE) -> LoadDirections:
     """403 load directions, close where the strain changes fast: beta near 0 and 90, alpha beyond 30 degrees.
 

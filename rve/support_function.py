@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rve.common import Array, ByValue, InputError
+from rve.common.arguments import checked
 from rve.common.tensor import disc, double_dot, eigenvalues, from_disc, trace
 from rve.equilibrium.dead_load import LoadedCell
 from rve.equilibrium.interior_point import DirectOptions, unit_loads
@@ -83,6 +84,7 @@ class SupportValue(ByValue):
     __repr__ = __str__
 
 
+@checked
 def support(
     cell: Cell, S: ArrayLike, options: DirectOptions | None = None, *, known: SupportValue | None = None
 ) -> SupportValue:

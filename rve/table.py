@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common import Array, InputError, Rows, atomic_path, check_belongs, checksum, json_text, require, sidecar_path
+from rve.common.arguments import checked
 from rve.common.files import TABLE_FORMAT, AnyPath, Inputs, check_out_file
 from rve.common.records import ByValue
 from rve.common.rings import check_rings
@@ -139,6 +140,7 @@ def check_out_table(path: AnyPath, option: str = "--out", inputs: Inputs = ()) -
     check_out_file(sidecar, option, inputs, is_sidecar=True)
 
 
+@checked
 def write_table(table: StrainTable, path: AnyPath) -> None:
     """Write the CSV and its sidecar JSON, which holds the SHA-256 of the CSV; an unknown number is an empty cell.
 

@@ -16,6 +16,7 @@ from macro_fem.fem.cells import recovered, signed_areas
 from macro_fem.scene.meshing.mesh_files import read_mesh_file
 from rve import Cell, cell_of_sides
 from rve.common import Array, Index, InputError, Rows, Typed, check_belongs, read_json_object, read_typed, types_of
+from rve.common.arguments import checked
 from rve.common.materials import STEEL, Material
 from rve.common.records import ByValue
 from rve.common.rings import check_rings
@@ -121,6 +122,7 @@ def curtain_file(path: str | Path) -> Path:
     return Path(path) / "curtain.vtu" if Path(path).is_dir() else Path(path)
 
 
+@checked
 def read_curtain(path: str | Path) -> Curtain:
     """The curtain that `macro_fem run` wrote into a folder, or its VTU with summary.json beside it.
 

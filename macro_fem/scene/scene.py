@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -18,6 +18,7 @@ from macro_fem.scene.shapes import Mesh, MeshFile, Outline, Shape
 from macro_fem.scene.sites import Support
 from macro_fem.scene.tables import Combination, Item, LiveLoad, Load, Solver, Vector, in_3d, leaves_plane
 from rve.common import Array, InputError, Typed, read_as, read_toml, read_typed, refuse_unknown, shown
+from rve.common.arguments import check_fields
 from rve.common.materials import described
 from rve.common.typed import not_one_of
 
@@ -54,7 +55,9 @@ class Scene:
     weight: float = 1.0
 
     def __post_init__(self) -> None:
-        """Check the material; InputError for items that are none."""
+        """Check the material; InputError for items that are none, and for fields of other classes."""
+        if not isinstance(self.items, Iterable):
+            self.refuse(f"items = {shown(self.items)}: is no list of supports, loads and obstacles")
         object.__setattr__(self, "items", tuple(self.items))
         for item in self.items:
             if not isinstance(item, Item):
@@ -62,7 +65,10 @@ class Scene:
                     f"{shown(item)}: is no support, load or obstacle; "
                     "mesh, load, solver, start, motion and combination are given by name"
                 )
+        if not isinstance(self.material, Mapping | tuple):
+            self.refuse(f"material = {shown(self.material)}: is no dict; give {{'material': NAME}}")
         object.__setattr__(self, "material", described(dict(self.material), f"{self.source}: [material]"))
+        check_fields(self)
 
     def refuse(self, what: str) -> NoReturn:
         """InputError that names the file of the scene."""

@@ -105,7 +105,7 @@ def read_bytes(path: AnyPath, most: int = MOST_BYTES) -> bytes:
         with Path(path).open("rb") as file:
             content = file.read(most + 1)
     except TypeError:
-        raise InputError(f"{shown(path)}: is no path of a file, but a {type(path).__name__}") from None
+        raise InputError(f"a file is read by its path, not from {shown(path):.80}") from None
     except (OSError, ValueError, MemoryError) as error:  # ValueError: a name with a null character
         raise InputError(f"{str(path)[:200]}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
     if len(content) > most:

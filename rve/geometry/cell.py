@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from rve.common import Typed
+from rve.common import Typed, shown
 from rve.common.materials import STEEL, Material, named_material
 from rve.common.rings import Density, Length, ring_volume
 from rve.geometry.weave import FOUR_IN_ONE, Weave, named_weave, supercell
@@ -51,6 +51,8 @@ class Cell(Typed):
         given = OF_STEEL if self.density is None else self.density
         metal = STEEL if self.material is None else self.material
         is_named = isinstance(metal, str)
+        if not isinstance(metal, str | Material):
+            self.refuse(f"material = {shown(metal)}: is no Material, nor the name of one")
         object.__setattr__(self, "density", given)
         object.__setattr__(self, "material", named_material(metal) if isinstance(metal, str) else metal)
         if isinstance(self.weave, str):

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common import Array, ByValue, NotConverged
+from rve.common.arguments import checked
 from rve.common.tensor import WEIGHT
 from rve.equilibrium.interior_point import DirectOptions, LockedStates
 from rve.equilibrium.system import Equations
@@ -59,6 +60,7 @@ def central_forces(states: LockedStates) -> Array:
     return lam
 
 
+@checked
 def cell_forces(s: Array, cell: Cell) -> CellForces:
     """Contacts and their forces in the locked cell under one line load s (3,) in N/mm, in weave axes.
 
@@ -88,6 +90,7 @@ def cell_forces(s: Array, cell: Cell) -> CellForces:
     )
 
 
+@checked
 def largest_forces(s: Array, cell: Cell, step: float = 2.0) -> Array:
     """Largest contact force (n, K) in N on a ring of each class under the line loads s (n, 3) in N/mm, in weave axes.
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common import Array, Flags, NotConverged, Rows, part_of
+from rve.common.arguments import checked
 from rve.common.records import ByValue
 from rve.common.tensor import WEIGHT, dyad, eigenvalues
 from rve.directions import product
@@ -93,6 +94,7 @@ class NearestPoses(Rows):
     solves: int
 
 
+@checked
 def locked_arrangements(cell: Cell) -> LockedArrangements:
     """Locked states under loads in all directions, to interpolate between; NotConverged if none is found."""
     found = locked_block(*product(_ALPHA, _BETA), replace(cell, grain="y"), DirectOptions()).found
@@ -104,6 +106,7 @@ def locked_arrangements(cell: Cell) -> LockedArrangements:
     return LockedArrangements(pose, lattice_strain(pose.lattice, sides)[0], sides)
 
 
+@checked
 def nearest_poses(E: Array, cell: Cell, states: LockedArrangements | None = None) -> NearestPoses:
     """Admissible poses of the cell nearest to the strains E (n, 3), in weave axes; `states` if they are known already.
 
