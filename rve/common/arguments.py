@@ -82,6 +82,8 @@ def _is_a(value: Any, kind: Any) -> bool:
         return _is_a(value, parts[0])
     if cls is Literal:
         return isinstance(value, str) and value in parts
+    if cls is str:
+        return isinstance(value, str | PathLike)
     if cls in (float, int):
         return isinstance(value, Real if cls is float else Integral)
     if cls is Any or not isinstance(cls, type):
