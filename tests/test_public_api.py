@@ -139,22 +139,22 @@ def test_every_public_record_is_copied_pickled_and_replaced_as_it_is(nouns):
 
 
 REFUSED = """
-rve.solve_table({"r1": 5}) -> solve_table takes a Cell as cell, not a dict
-rve.solve_table(rve.Cell) -> not the class Cell; Cell(r1, r2) makes one
-rve.solve_table(rve.Cell(), 5) -> takes a list of 2 as loads, not 5
+rve.solve_table({"r1": 5}) -> expected a Cell, got a dict
+rve.solve_table(rve.Cell) -> got the class Cell; Cell(r1, r2) makes one
+rve.solve_table(rve.Cell(), 5) -> loads = 5: expected a list of 2
 rve.solve_table(rve.Cell(), ([0.0], ["a"])) -> alpha and beta must be numbers
-rve.solve_table(rve.Cell(), ([0.0], [90.0]), {"branches": "first"}) -> takes a DirectOptions as options, not a dict
-rve.support(None, [1, 0, 1]) -> support takes a Cell as cell, not None
-rve.support(rve.Cell(), None) -> takes a list of numbers as S, not None
-rve.with_rings("table.csv", rve.Cell()) -> StrainTable as table, not 'table.csv'; read_table reads a file
-rve.grid("5") -> grid takes a number as step, not '5'
+rve.solve_table(rve.Cell(), ([0.0], [90.0]), {"branches": "first"}) -> expected a DirectOptions, got a dict
+rve.support(None, [1, 0, 1]) -> cell = None: expected a Cell
+rve.support(rve.Cell(), None) -> S = None: expected a list of numbers
+rve.with_rings("table.csv", rve.Cell()) -> expected a StrainTable, got a text; read_table reads a file
+rve.grid("5") -> step = '5': expected a number
 rve.read_table({}) -> a file is read by its path, not from {}
-rve.write_table(None, "x.csv") -> takes a StrainTable as table, not None
+rve.write_table(None, "x.csv") -> table = None: expected a StrainTable
 rve.Cell(r1="5 mm") -> r1 = '5 mm': expected a number, got a text; write the number alone, in mm: 5
 rve.Cell(material={"density": 5.0}) -> is no Material, nor the name of one
 rve.Cell(weave="4in1") -> weave = '4in1': is not one of 4-in-1, 6-in-1; did you mean 4-in-1?
 rve.named_material("titanium") -> did you mean titanium grade
-rve.pulled_ring(5, 0.5, "steel") -> takes a Material as material, not 'steel'
+rve.pulled_ring(5, 0.5, "steel") -> material = 'steel': expected a Material
 rve.FiniteOptions(tolerance=float("nan")) -> FiniteOptions: tolerance = nan: expected a number > 0.0
 rve.FiniteOptions(tolerance=0) -> tolerance = 0: expected a number > 0.0
 rve.FiniteOptions(tolerance=-1e-8) -> expected a number > 0.0
@@ -165,33 +165,33 @@ rve.FiniteOptions(starts=0) -> starts = 0: expected a whole number >= 1
 rve.FiniteOptions(seed=-1) -> seed = -1: expected a whole number >= 0
 rve.FiniteOptions(first=1e-9, last=1e-3) -> last = 0.001: is more than first = 1e-09
 rve.DirectOptions(tolerance="small") -> tolerance = 'small': expected a number, got a text
-homogenize.fit("table.csv") -> fit takes a StrainTable as table, not 'table.csv'; read_table reads a file
-homogenize.fit([1]) -> takes a StrainTable as table, not a list
-homogenize.fit_table(None) -> takes a path as path, not None
+homogenize.fit("table.csv") -> table = 'table.csv': expected a StrainTable, got a text; read_table reads a file
+homogenize.fit([1]) -> expected a StrainTable, got a list
+homogenize.fit_table(None) -> path = None: expected a path
 homogenize.FitOptions(kind="Net") -> did you mean net?
 homogenize.load_law(5) -> a file is read by its path, not from 5
-homogenize.default_law().save(None) -> save takes a path as path, not None
-homogenize.elastic_law("law.json") -> takes a MembraneLaw as law, not 'law.json'
-homogenize.with_material(homogenize.default_law(), "steel") -> takes a dict as given, not 'steel'
-homogenize.locked_strain(homogenize.default_law(), [20.0], None) -> list of numbers as beta_deg, not None
-macro_fem.solve({"curtain": {}}) -> solve takes a Scene as scene, not a dict; load_scene reads a file, read_scene a dict
-macro_fem.solve(None) -> solve takes a Scene as scene, not None
-macro_fem.solve(SCENE, "law.json") -> as who, not 'law.json'
+homogenize.default_law().save(None) -> path = None: expected a path
+homogenize.elastic_law("law.json") -> law = 'law.json': expected a MembraneLaw
+homogenize.with_material(homogenize.default_law(), "steel") -> given = 'steel': expected a dict
+homogenize.locked_strain(homogenize.default_law(), [20.0], None) -> beta_deg = None: expected a list of numbers
+macro_fem.solve({"curtain": {}}) -> expected a Scene, got a dict; load_scene reads a file, read_scene a dict
+macro_fem.solve(None) -> scene = None: expected a Scene
+macro_fem.solve(SCENE, "law.json") -> who = 'law.json': expected a MembraneLaw or LawInterval
 macro_fem.solve(SCENE, rve.Cell()) -> solve takes a law, OnDemand(cell) or EveryRing(cell), not a Cell
-macro_fem.compare(SCENE, start="disc") -> takes a 'slack' or 'disk' as start, not 'disc'
-macro_fem.localize(5) -> localize takes a Curtain or path as curtain, not 5
+macro_fem.compare(SCENE, start="disc") -> start = 'disc': expected 'slack' or 'disk'
+macro_fem.localize(5) -> curtain = 5: expected a Curtain or path
 macro_fem.load_scene(SCENE) -> a file is read by its path, not from Scene(
 macro_fem.read_scene("scene.toml") -> scene: is not a table of names and values
-macro_fem.largest_that_holds(SCENE, None, "pitch", 5, 1.5) -> takes a list of 2 as ends, not 5
+macro_fem.largest_that_holds(SCENE, None, "pitch", 5, 1.5) -> ends = 5: expected a list of 2
 macro_fem.largest_that_holds(SCENE, None, "pithc", (5, 9), 1.5) -> did you mean pitch?
-macro_fem.Scene({"width": 5}) -> Scene takes a Shape as curtain, not a dict
+macro_fem.Scene({"width": 5}) -> expected a Shape, got a dict
 macro_fem.Scene(SCENE.curtain, macro_fem.Top()) -> is no list of supports, loads and obstacles
-macro_fem.Scene(SCENE.curtain, [], mesh={"cells": 4}) -> Scene takes a Mesh as mesh, not a dict
-macro_fem.Scene(SCENE.curtain, [], combination=[{"name": "a"}]) -> takes a list of Combination as combination
+macro_fem.Scene(SCENE.curtain, [], mesh={"cells": 4}) -> expected a Mesh, got a dict
+macro_fem.Scene(SCENE.curtain, [], combination=[{"name": "a"}]) -> expected a list of Combination
 macro_fem.Scene(SCENE.curtain, [], material="steel") -> material = 'steel': is no dict
-macro_fem.EveryRing("law.json") -> takes a Cell or MembraneLaw as rings, not 'law.json'
-macro_fem.EveryRing(start="disc") -> takes a 'slack' or 'disk' as start, not 'disc'
-macro_fem.OnDemand({"r1": 5}) -> takes a Cell as cell, not a dict
+macro_fem.EveryRing("law.json") -> rings = 'law.json': expected a Cell or MembraneLaw
+macro_fem.EveryRing(start="disc") -> start = 'disc': expected 'slack' or 'disk'
+macro_fem.OnDemand({"r1": 5}) -> expected a Cell, got a dict
 """
 SCENE = macro_fem.Scene(macro_fem.Rectangle(100, 100), [macro_fem.Top()])
 

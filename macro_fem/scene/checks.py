@@ -61,7 +61,7 @@ def _contradictions(scene: Scene) -> Iterator[str]:
     if scene.solver.is_bounded:
         check_bounds(scene, "[solver] bounds and adapt:")
     for kind, items in (("body", scene.of(Ball)), ("obstacle", scene.obstacle)):
-        names = [item.name for item in items if kind == "body" or item.name != type(item).name]
+        names = [item.name for item in items]
         for name in {name for name in names if names.count(name) > 1}:
             yield f"[[{kind}]] name = {name!r}: is that of two, and results go by it; give each its own"
 

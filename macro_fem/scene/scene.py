@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -58,7 +58,7 @@ class Scene:
         """Check the material; InputError for items that are none, and for fields of other classes."""
         if not isinstance(self.items, Iterable):
             self.refuse(f"items = {shown(self.items)}: is no list of supports, loads and obstacles")
-        object.__setattr__(self, "items", tuple(self.items))
+        object.__setattr__(self, "items", _numbered(tuple(self.items)))
         for item in self.items:
             if not isinstance(item, Item):
                 self.refuse(
@@ -119,6 +119,17 @@ class Scene:
     def vector(self, v: Vector) -> Array:
         """A vector of two or three components as an array (d,)."""
         return np.array(in_3d(v)[: self.d])
+
+
+def _numbered(items: tuple[Any, ...]) -> tuple[Any, ...]:
+    """The items with numbers in the names of bodies and obstacles that have the name of their kind beside others."""
+    unnamed = [isinstance(item, Ball | Obstacle) and item.name == type(item).name for item in items]
+    names = [item.name if is_unnamed else "" for item, is_unnamed in zip(items, unnamed, strict=True)]
+    numbers = (names[: k + 1].count(name) if name and names.count(name) > 1 else 0 for k, name in enumerate(names))
+    return tuple(
+        replace(item, name=f"{item.name} {number}") if number else item
+        for item, number in zip(items, numbers, strict=True)
+    )
 
 
 def load_scene(path: str | Path) -> Scene:

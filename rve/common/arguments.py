@@ -23,7 +23,7 @@ MADE_BY = {
 }
 """How users come by the records that functions take."""
 NAMES: dict[Any, str] = {float: "number", int: "whole number", bool: "truth value", str: "text", tuple: "list"}
-NAMES |= {list: "list", Sequence: "list", Mapping: "dict", Path: "path", PathLike: "path"}
+NAMES |= {dict: "dict", list: "list", Sequence: "list", Mapping: "dict", Path: "path", PathLike: "path"}
 
 
 def checked(function: Function) -> Function:
@@ -35,7 +35,7 @@ def checked(function: Function) -> Function:
     >>> half([3.0])
     Traceback (most recent call last):
     ...
-    rve.common.errors.InputError: half takes a number as length, not a list
+    rve.common.errors.InputError: half: length = [3.0]: expected a number, got a list
     """
     signature = inspect.signature(function)
 
@@ -62,15 +62,21 @@ def _check(name: str, given: Mapping[str, Any], kinds: Mapping[str, Any]) -> Non
     for key, value in given.items():
         if key in kinds and not _is_a(value, kinds[key]):
             wanted = list(dict.fromkeys(_words(kinds[key])))
-            got = shown(value) if isinstance(value, str | Real | None) else _with_article(type(value).__name__)
-            got = f"the class {value.__name__}" if isinstance(value, type) else got
+            is_plain = isinstance(value, str | Real | list | tuple | dict | None)
+            told = f"{name}: {key} = {shown(value)}" if is_plain else f"{name}: {key}"
+            got = "" if value is None else f", got {_kind_of(value)}"
             hint = "".join(f"; {MADE_BY[word]}" for word in wanted[:1] if word in MADE_BY)
             words = _with_article(" or ".join(word for word in wanted if word != "text" or "path" not in wanted))
-            raise InputError(f"{name} takes {words} as {key}, not {got}{hint}")
+            raise InputError(f"{told}: expected {words}{got}{hint}")
+
+
+def _kind_of(value: Any) -> str:
+    kind = NAMES.get(type(value), type(value).__name__)
+    return f"the class {value.__name__}" if isinstance(value, type) else _with_article(kind)
 
 
 def _with_article(word: str) -> str:
-    return f"{'an' if word[:1] in 'aeioAEIO' else 'a'} {word}"
+    return word if word[:1] == "'" else f"{'an' if word[:1] in 'aeioAEIO' else 'a'} {word}"
 
 
 def _is_a(value: Any, kind: Any) -> bool:

@@ -59,8 +59,8 @@ load.patch = {at = [50, 50], radius = 0.02, force = [0, -1]}
 load.patch = {at = [50, 50], radius = 101, force = [0, -1]}
   -> [load.patch] radius = 101: is larger than the curtain, 100 mm
 obstacle = [{kind = "wall", facing = [0, 1], name = "a"}, {kind = "floor", name = "a"}] -> name = 'a': is that of two
-motion.duration = 1.0; body = [{kind = "sphere", radius = 9, mass = 1, at = [0, 0, 99]},
-  {kind = "sphere", radius = 9, mass = 1, at = [0, 0, 150]}] -> [[body]] name = 'ball': is that of two
+motion.duration = 1.0; body = [{name = "b", kind = "sphere", radius = 9, mass = 1, at = [0, 0, 99]},
+  {name = "b", kind = "sphere", radius = 9, mass = 1, at = [0, 0, 150]}] -> [[body]] name = 'b': is that of two
 motion.duration = 1.0; body = {kind = "sphere", radius = 0.05, mass = 1, at = [0, 5, 99]} -> were 0.05 m meant?
 motion.duration = 1.0; curtain.width = 3.0 -> width = 3: is less than the diameter of a ring, 10 mm
 motion.duration = "2 min" -> duration = '2 min': expected a number, got a text; write the number alone, in s: 120
