@@ -89,6 +89,17 @@ macro_fem run curtain --out new -> curtain: is a folder of a curtain, not a scen
 macro_fem localize law.json --out new -> law.json: is a law, not a folder of a curtain
 macro_fem localize scene.toml --out new -> scene.toml: is a scene, not a folder of a curtain; macro_fem run takes it
 macro_fem run scene.toml --out new --law curtain/summary.json -> is a record of a curtain, not a law
+macro_fem run scene.toml --out new --rings 8,1 --weave 6-in-1 --law law.json
+ -> law.json: has the weave 4-in-1 with grain y, --rings the weave 6-in-1 with grain y; give both the same one
+macro_fem run scene.toml --out new --rings 5,0.5 --grain x --law law.json -> the weave 4-in-1 with grain x; give both
+homogenize fit semicolons.csv --out new.json -> semicolons.csv: has semicolons between columns; write commas, and
+homogenize fit lower.csv --out new.json -> lower.csv: column E11 is missing; write E11 in place of e11
+homogenize fit commas.csv --out new.json -> column alpha_deg: '0,5' is not a number; has a decimal comma; write 0.5
+homogenize fit utf16.csv --out new.json -> utf16.csv: is not a CSV text file: it is no text in UTF-8; save it in this
+macro_fem run comma.toml --out new -> comma.toml: is not TOML: line 2: has a decimal comma; write 330.5
+macro_fem run semicolon.toml --out new -> line 1: has a semicolon; write commas in lists, and each key on a line of its
+macro_fem run bare.toml --out new -> line 1: write support.kind = "hooks", a text in quotes
+macro_fem run unit.toml --out new -> line 1: write the number alone: 5
 macro_fem run scene.toml --out new --law curtain -> is a folder of a curtain, not a law
 macro_fem run table.csv --out new -> table.csv: is a strain-load table, not a scene; homogenize fit takes it
 macro_fem run curtain/curtain.vtu --out new -> is a mesh file, not a scene; a scene takes it
@@ -111,7 +122,7 @@ macro_fem localize curtain --out new --max-rings 3 -> --max-rings
 rve table --out /proc/t.csv --alpha 0 --beta 45 -> --out = /proc/t.csv: cannot be written
 homogenize fit table.csv --out other.json -> other.json: is the sidecar file of a table
 """
-ROWS = [line.split(" -> ") for line in REFUSED.strip().splitlines()]
+ROWS = [line.split(" -> ") for line in REFUSED.strip().replace("\n ->", " ->").splitlines()]
 
 
 @pytest.fixture(scope="module")
@@ -126,6 +137,15 @@ def folder(tmp_path_factory):
     for name in ("table.csv", "table.json", "other.csv"):
         shutil.copy(DATA / f"table190{Path(name).suffix}", out / name)
     (out / "other.json").write_text((out / "table.json").read_text().replace('"r2_mm": 0.5', '"r2_mm": 0.4'))
+    table = (out / "table.csv").read_text()
+    (out / "semicolons.csv").write_text("\ufeff" + table.replace(",", ";").replace(".", ","))
+    (out / "lower.csv").write_text(table.replace("E11", "e11", 1))
+    (out / "commas.csv").write_text(table.replace("\n0.0,", '\n"0,5",', 1))
+    (out / "utf16.csv").write_text(table, encoding="utf-16")
+    (out / "comma.toml").write_text("[curtain]\nwidth = 330,5\n")
+    (out / "semicolon.toml").write_text('curtain.width = 1; curtain.height = 2 # "a; b"\n')
+    (out / "bare.toml").write_text("support.kind = hooks\n")
+    (out / "unit.toml").write_text("support.pitch = 5 mm\n")
     run("macro_fem", "run", out / "scene.toml", "--out", out / "curtain", "--no-picture")
     return out
 

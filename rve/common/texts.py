@@ -57,6 +57,8 @@ TAKEN = {
     "mesh file": 'a scene takes it, [curtain] shape = "file"',
     "drawing": 'a scene takes it, [curtain] shape = "dxf"',
     "workbook": "save it as CSV with commas",
+    "record of another command": "no command takes it",
+    "folder of another command": "no command takes it",
     "picture": "no command takes it",
     "report": "no command takes it",
 }
@@ -82,7 +84,8 @@ def _what_is(path: AnyPath) -> str:
     try:
         place = Path(path)
         if place.is_dir():
-            return "folder of a curtain" if (place / "summary.json").exists() else ""
+            is_curtain = (place / "summary.json").exists() and (place / "curtain.vtu").exists()
+            return "folder of a curtain" if is_curtain else "folder of another command" * any(place.glob("*.json"))
         if place.suffix.lower() in _ENDINGS:
             return _ENDINGS[place.suffix.lower()]
         with place.open("rb") as file:
@@ -93,7 +96,8 @@ def _what_is(path: AnyPath) -> str:
         record = json.loads(text) if text.lstrip()[:1] == "{" else tomllib.loads(text)
         if record.get("format") == TABLE_FORMAT:
             return "sidecar file of a table"
-        parts = {"law": {"kind", "parameters"}, "record of a curtain": {"status", "files"}, "scene": {"curtain"}}
+        parts = {"law": {"kind", "parameters"}, "record of a curtain": {"status", "files", "order"}}
+        parts |= {"record of another command": {"files", "versions"}, "scene": {"curtain"}}
         return next((kind for kind, keys in parts.items() if keys <= record.keys()), "")
     except UNREADABLE:
         return ""
