@@ -20,8 +20,7 @@ from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.stored import StoredLaw
 from homogenize.strength import Strength, strength_of_table
 from rve import read_table
-from rve.common import Array, InputError
-from rve.common.arguments import checked
+from rve.common import Array, InputError, checked
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,7 @@ from homogenize import laws
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.stored import SCHEMA, UNITS, StoredLaw
 from homogenize.strength import Strength, read_strength
-from rve.common import Typed, read_as, read_json_object, read_typed, shown
-from rve.common.arguments import checked
+from rve.common import Typed, checked, read_as, read_json_object, read_typed, shown
 from rve.common.rings import check_rings
 
 DEFAULT_LAW = Path(__file__).parent / "data" / "rings_10.json"

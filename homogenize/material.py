@@ -8,8 +8,7 @@ from homogenize.interval import LawInterval
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.stored import StoredLaw
 from homogenize.strength import MAKE_AGAIN
-from rve.common import InputError
-from rve.common.arguments import checked
+from rve.common import InputError, checked
 from rve.common.materials import Material, material_of
 
 Kind = TypeVar("Kind", bound=MembraneLaw | LawInterval)

@@ -18,8 +18,7 @@ from msgspec import Meta
 
 from homogenize.directions import Directions, folds_of, tensile_part
 from rve import StrainTable, cauchy_line_load
-from rve.common import Array, Flags, InputError, Rows, Typed, read_entry, read_typed
-from rve.common.arguments import checked
+from rve.common import Array, Flags, InputError, Rows, Typed, checked, read_entry, read_typed
 from rve.common.materials import Material, Stress
 from rve.common.rings import Joint
 from rve.common.tensor import IDENTITY, WEIGHT, eigenvalues, trace

@@ -26,8 +26,7 @@ from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Combination
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.status import Status
-from rve.common import InputError, check_out_file, csv_text, tell, write_text
-from rve.common.arguments import checked
+from rve.common import InputError, check_out_file, checked, csv_text, tell, write_text
 from rve.common.files import write_mesh_file
 from rve.common.optional import Axes
 

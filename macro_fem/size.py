@@ -16,8 +16,7 @@ from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import Rectangle
 from macro_fem.scene.tables import Bar, Item, Wind
 from rve import solve_table, with_rings
-from rve.common import InputError, csv_text, digits, job, part_of, shown, write_text
-from rve.common.arguments import checked
+from rve.common import InputError, checked, csv_text, digits, job, part_of, shown, write_text
 from rve.common.drawing.plane import new_axes, save_figure
 from rve.common.typed import not_one_of
 

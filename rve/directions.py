@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rve.common import AnyPath, Array, InputError, number_column, read_as, read_columns, shown
-from rve.common.arguments import checked
+from rve.common import AnyPath, Array, InputError, checked, number_column, read_as, read_columns, shown
 from rve.geometry.weave import FOUR_IN_ONE, Weave
 
 MOST_VALUES = 100_000

@@ -11,8 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from rve.common import Array
-from rve.common.arguments import checked
+from rve.common import Array, checked
 from rve.common.drawing import space
 from rve.common.drawing.plane import Scale, new_axes, round_top
 from rve.common.files import write_mesh_file

@@ -4,8 +4,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from rve.common import Array, InputError
-from rve.common.arguments import checked
+from rve.common import Array, InputError, checked
 from rve.common.rings import Joint
 from rve.common.tensor import trace
 from rve.equilibrium.elastic_rings import ring_states

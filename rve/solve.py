@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rve.common import SENTENCES, Array, InputError, NotConverged, part_of, versions
-from rve.common.arguments import checked
+from rve.common import SENTENCES, Array, InputError, NotConverged, checked, part_of, versions
 from rve.common.files import TABLE_FORMAT
 from rve.common.rings import areal_mass
 from rve.common.tensor import double_dot

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rve.common import Array, ByValue, InputError
-from rve.common.arguments import checked
+from rve.common import Array, ByValue, InputError, checked
 from rve.common.tensor import disc, double_dot, eigenvalues, from_disc, trace
 from rve.equilibrium.dead_load import LoadedCell
 from rve.equilibrium.interior_point import DirectOptions, unit_loads

@@ -19,8 +19,7 @@ import numpy as np
 from homogenize.laws.geometry import DEPENDENT, MAX_ROUNDS, polyhedron_of
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import MembraneLaw
-from rve.common import Array, InputError, write_text
-from rve.common.arguments import checked
+from rve.common import Array, InputError, checked, write_text
 
 PER_STATEMENT = 38  # two a line: Fortran 77 takes 19 lines beside the first
 

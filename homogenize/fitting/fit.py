@@ -30,8 +30,7 @@ from homogenize.laws.report import ErrorReport
 from homogenize.laws.stored import StoredLaw
 from homogenize.strength import strength_of_table
 from rve import StrainTable
-from rve.common import Array, InputError, Typed, checksum
-from rve.common.arguments import checked
+from rve.common import Array, InputError, Typed, checked, checksum
 from rve.common.rings import STEEL_KG_PER_MM3, check_rings
 from rve.common.tensor import disc, trace
 

@@ -24,8 +24,7 @@ from homogenize.laws.geometry import Polyhedron, highest, outer_vertices, polyhe
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, check_finite
 from homogenize.laws.stored import StoredLaw
-from rve.common import Array, InputError
-from rve.common.arguments import checked
+from rve.common import Array, InputError, checked
 from rve.common.tensor import WEIGHT, disc, double_dot
 
 LEAST_SHARE = 1e-3

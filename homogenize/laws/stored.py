@@ -9,8 +9,7 @@ from typing import Any, ClassVar, Self
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.report import ErrorReport
 from homogenize.strength import Strength
-from rve.common import json_text, read_typed, write_text
-from rve.common.arguments import checked
+from rve.common import checked, json_text, read_typed, write_text
 from rve.common.optional import Axes
 
 SCHEMA = 1

@@ -14,8 +14,7 @@ from homogenize.fitting.rows import LockedRows, normality, with_mirror
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.query.strain_bounds import strain_bounds
 from rve import cauchy_line_load, cauchy_of, deformation_gradient, second_pk
-from rve.common import Array, InputError, Rows, part_of, tell
-from rve.common.arguments import checked
+from rve.common import Array, InputError, Rows, checked, part_of, tell
 from rve.common.tensor import IDENTITY, WEIGHT, disc, from_disc, trace
 
 FLAT = 1e-6

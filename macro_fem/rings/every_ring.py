@@ -17,8 +17,7 @@ from macro_fem.output.told import components
 from macro_fem.rings.ring_scene import RingScene
 from macro_fem.solution import CurtainSolution
 from rve import Cell, FiniteSolution
-from rve.common import Array, InputError, versions
-from rve.common.arguments import check_fields
+from rve.common import Array, InputError, check_fields, versions
 from rve.common.drawing.plane import new_axes, save_figure
 from rve.common.optional import Axes
 

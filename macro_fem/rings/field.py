@@ -15,8 +15,7 @@ from macro_fem.output.page import write_page
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites
 from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestPoses
-from rve.common import Array, Index, csv_text, digits, job, versions, write_text
-from rve.common.arguments import checked
+from rve.common import Array, Index, checked, csv_text, digits, job, versions, write_text
 from rve.common.drawing.space import THREE_QUARTERS, add, add_length, below, lines, look, new_plotter
 from rve.common.optional import Axes, Plotter
 

@@ -20,8 +20,7 @@ from macro_fem.output.line_load import Nearby
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites, curtain_file, read_curtain
 from macro_fem.rings.field import RECORD, RingField, WorstCell
-from rve.common import Array, Index, InputError, check_out_job, read_entry, tell
-from rve.common.arguments import checked
+from rve.common import Array, Index, InputError, check_out_job, checked, read_entry, tell
 from rve.common.tensor import WEIGHT, double_dot
 
 NARROW = 1e-3

@@ -17,8 +17,7 @@ from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.shapes import Mesh, MeshFile, Outline, Shape
 from macro_fem.scene.sites import Support
 from macro_fem.scene.tables import Combination, Item, LiveLoad, Load, Solver, Vector, in_3d, leaves_plane
-from rve.common import Array, InputError, Typed, read_as, read_toml, read_typed, refuse_unknown, shown
-from rve.common.arguments import check_fields
+from rve.common import Array, InputError, Typed, check_fields, read_as, read_toml, read_typed, refuse_unknown, shown
 from rve.common.materials import described
 from rve.common.typed import not_one_of
 

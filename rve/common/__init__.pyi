@@ -1,3 +1,5 @@
+from .arguments import check_fields as check_fields
+from .arguments import checked as checked
 from .errors import SENTENCES as SENTENCES
 from .errors import InputError as InputError
 from .errors import NotConverged as NotConverged

@@ -6,24 +6,20 @@ from contextlib import suppress
 from functools import cache, wraps
 from numbers import Integral, Real
 from os import PathLike
-from pathlib import Path
-from types import NoneType, UnionType
+from types import UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from rve.common.errors import InputError, shown
-from rve.common.typed import types_of
+from rve.common.typed import NAMES, types_of
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 MADE_BY = {
     "Scene": "load_scene reads a file, read_scene a dict",
     "StrainTable": "read_table reads a file",
-    "StoredLaw": "load_law reads a file",
     "Cell": "Cell(r1, r2) makes one",
 }
 """How users come by the records that functions take."""
-NAMES: dict[Any, str] = {float: "number", int: "whole number", bool: "truth value", str: "text", tuple: "list"}
-NAMES |= {dict: "dict", list: "list", Sequence: "list", Mapping: "dict", Path: "path", PathLike: "path"}
 
 
 def checked(function: Function) -> Function:
@@ -64,19 +60,9 @@ def _check(name: str, given: Mapping[str, Any], kinds: Mapping[str, Any]) -> Non
             wanted = list(dict.fromkeys(_words(kinds[key])))
             is_plain = isinstance(value, str | Real | list | tuple | dict | None)
             told = f"{name}: {key} = {shown(value)}" if is_plain else f"{name}: {key}"
-            got = "" if value is None else f", got {_kind_of(value)}"
-            hint = "".join(f"; {MADE_BY[word]}" for word in wanted[:1] if word in MADE_BY)
-            words = _with_article(" or ".join(word for word in wanted if word != "text" or "path" not in wanted))
-            raise InputError(f"{told}: expected {words}{got}{hint}")
-
-
-def _kind_of(value: Any) -> str:
-    kind = NAMES.get(type(value), type(value).__name__)
-    return f"the class {value.__name__}" if isinstance(value, type) else _with_article(kind)
-
-
-def _with_article(word: str) -> str:
-    return word if word[:1] == "'" else f"{'an' if word[:1] in 'aeioAEIO' else 'a'} {word}"
+            got = f"the class {value.__name__}" if isinstance(value, type) else _word(type(value))
+            hint = f"; {MADE_BY[wanted[0]]}" if wanted[0] in MADE_BY else ""
+            raise InputError(f"{told}: expected {' or '.join(wanted)}, got {got}{hint}")
 
 
 def _is_a(value: Any, kind: Any) -> bool:
@@ -84,47 +70,32 @@ def _is_a(value: Any, kind: Any) -> bool:
     cls, parts = get_origin(kind) or kind, get_args(kind)
     if cls in (Union, UnionType):
         return any(_is_a(value, part) for part in parts)
-    if cls is Annotated:
-        return _is_a(value, parts[0])
-    if cls is Literal:
-        return isinstance(value, str) and value in parts
-    if cls is str:
-        return isinstance(value, str | PathLike)
-    if cls in (float, int):
-        return isinstance(value, Real if cls is float else Integral)
+    if cls in (Annotated, Literal):
+        return _is_a(value, parts[0]) if cls is Annotated else isinstance(value, str) and value in parts
     if cls is Any or not isinstance(cls, type):
         return True
     if cls.__module__.startswith("numpy"):  # arrays, and what can be made one
         return not isinstance(value, str | bytes | Mapping | type | None)
     if vars(cls).get("_is_protocol"):
-        return not isinstance(value, str | Real | Mapping | Iterable | type | None)
+        return not isinstance(value, str | Real | Iterable | type | None)
     if cls in (tuple, list, Sequence):
         is_list = isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping)
-        return is_list and (cls is not tuple or _fits(list(value), parts))
-    return isinstance(value, cls)
-
-
-def _fits(values: list[Any], parts: tuple[Any, ...]) -> bool:
-    """Whether values are of the types of a tuple."""
-    if Ellipsis in parts:
-        parts = parts[:1] * len(values)
-    return len(values) == len(parts) and all(map(_is_a, values, parts))
+        each = parts[:1] * len(list(value)) if is_list and Ellipsis in parts else parts
+        return is_list and (cls is not tuple or (len(list(value)) == len(each) and all(map(_is_a, value, each))))
+    wider: dict[Any, Any] = {float: Real, int: Integral, str: str | PathLike}
+    return isinstance(value, wider.get(cls, cls))
 
 
 def _words(kind: Any) -> list[str]:
     """What users call the members of a type, without None."""
     cls, parts = get_origin(kind) or kind, get_args(kind)
     if cls in (Union, UnionType):
-        words = [word for part in parts for word in _words(part)]
-        return ["list of numbers"] if "list of numbers" in words else words  # and what else numpy takes for one
-    if cls is Annotated:
-        return _words(parts[0])
-    if cls is Literal:
-        return [repr(part) for part in parts]
-    if not isinstance(cls, type) or cls is NoneType:
-        return []
-    if cls.__module__.startswith("numpy"):
-        return ["list of numbers"]
+        words = [word for part in parts for word in _words(part) if word != NAMES["NoneType"]]
+        return ["a list"] if "_SupportsArray" in words else words  # of what numpy takes for one
     if cls is tuple and parts:
-        return [f"list of {_words(parts[0])[0]}" if Ellipsis in parts else f"list of {len(parts)}"]
-    return [NAMES.get(cls, cls.__name__)]
+        return [f"a list, each {_words(parts[0])[0]}" if Ellipsis in parts else f"a list of {len(parts)}"]
+    return [repr(part) for part in parts] if cls is Literal else [_word(cls)]
+
+
+def _word(cls: Any) -> str:
+    return NAMES.get(cls.__name__, cls.__name__)

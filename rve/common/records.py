@@ -25,7 +25,7 @@ class ByValue:
 
 def _is_same(a: Any, b: Any) -> bool:
     if is_dataclass(a):
-        return type(a) is type(b) and all(_is_same(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
+        return type(a) is type(b) and all(_is_same(vars(a)[f.name], vars(b)[f.name]) for f in fields(a))
     if isinstance(a, np.ndarray):
         same_kind = isinstance(b, np.ndarray) and a.shape == b.shape
         return same_kind and bool(((a == b) | (a != a) & (b != b)).all())
@@ -82,6 +82,6 @@ class Rows(ByValue):
         """A copy in which the fields with one row per case are changed; no cached property goes along."""
         new: dict[str, Any] = {}
         for item in fields(self):  # type: ignore[arg-type]
-            own = getattr(self, item.name)
+            own = vars(self)[item.name]
             new[item.name] = change(item.name, own) if isinstance(own, (np.ndarray, Rows)) else own
         return type(self)(**new)

@@ -20,7 +20,9 @@ from rve.common.errors import InputError, shown
 Record = TypeVar("Record", bound="Typed")
 
 NAMES = {"float": "a number", "int": "a whole number", "str": "a text", "bool": "true or false", "array": "a list"}
-NAMES |= {"object": "a table", "null": "nothing"}
+NAMES |= {"object": "a table", "dict": "a dict", "Mapping": "a dict", "Path": "a path", "PathLike": "a path"}
+NAMES |= dict.fromkeys(("list", "tuple", "Sequence", "ndarray"), "a list")
+NAMES |= dict.fromkeys(("null", "NoneType"), "nothing")
 NUMBER = re.compile(r"\s*([-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?)\s*([^\d.,\s]\S*)?\s*")
 """A number, with a decimal point or comma, and what may stand behind it."""
 UNITS = {

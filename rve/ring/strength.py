@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rve.common import Array, InputError, NotConverged
-from rve.common.arguments import checked
+from rve.common import Array, InputError, NotConverged, checked
 from rve.common.materials import STEEL, Material
 from rve.common.rings import Joint
 from rve.ring.kernels import flexibility, internal_forces, self_stress

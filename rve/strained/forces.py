@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common import Array, ByValue, NotConverged
-from rve.common.arguments import checked
+from rve.common import Array, ByValue, NotConverged, checked
 from rve.common.tensor import WEIGHT
 from rve.equilibrium.interior_point import DirectOptions, LockedStates
 from rve.equilibrium.system import Equations

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rve.common import Array, ByValue, Flags, Index
-from rve.common.arguments import checked
+from rve.common import Array, ByValue, Flags, Index, checked
 from rve.geometry.cell import Cell
 from rve.geometry.pose import Pose, start_pose
 from rve.geometry.ring_pair import are_linked, dot, local_minima

@@ -18,9 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common import Array, Flags, NotConverged, Rows, part_of
-from rve.common.arguments import checked
-from rve.common.records import ByValue
+from rve.common import Array, ByValue, Flags, NotConverged, Rows, checked, part_of
 from rve.common.tensor import WEIGHT, dyad, eigenvalues
 from rve.directions import product
 from rve.equilibrium.dead_load import DeadLoad

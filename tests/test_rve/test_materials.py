@@ -1,9 +1,9 @@
 """Materials: named ones, values that replace theirs, one sentence for what no material has, and the way into files."""
 
 import json
-import pickle
 from copy import copy, deepcopy
 from dataclasses import asdict, replace
+from multiprocessing.reduction import ForkingPickler
 
 import pytest
 from click.testing import CliRunner
@@ -13,6 +13,8 @@ from rve.cli import main
 from rve.common.errors import InputError
 from rve.common.materials import material_of
 from rve.common.typed import read_typed
+
+dumps, loads = ForkingPickler.dumps, ForkingPickler.loads
 
 
 def test_named_materials_have_plausible_numbers():
@@ -53,7 +55,7 @@ def test_a_cell_has_one_density():
             Cell(density=7.85e-6, material=material)
 
 
-@pytest.mark.parametrize("again", [copy, deepcopy, lambda cell: pickle.loads(pickle.dumps(cell)), replace])
+@pytest.mark.parametrize("again", [copy, deepcopy, lambda cell: loads(dumps(cell)), replace])
 def test_what_is_changed_of_a_copied_cell_is_changed_as_of_the_cell(again):
     plain, light, titanium = (again(cell) for cell in (Cell(), Cell(density=8e-6), Cell(material="titanium grade 2")))
     assert (plain, light, titanium) == (Cell(), Cell(density=8e-6), Cell(material="titanium grade 2"))
