@@ -67,6 +67,8 @@ def _check(name: str, given: Mapping[str, Any], kinds: Mapping[str, Any]) -> Non
 
 def _is_a(value: Any, kind: Any) -> bool:
     """Whether a value is of a type; of arrays and lists is whatever may be one, of protocols what is no plain data."""
+    if kind in type(value).__mro__:
+        return True
     cls, parts = get_origin(kind) or kind, get_args(kind)
     if cls in (Union, UnionType):
         return any(_is_a(value, part) for part in parts)

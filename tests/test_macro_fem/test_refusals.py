@@ -53,6 +53,7 @@ load.point = {at = [0, 0], force = [0, "-0.5 kN"]}
 load.edge = {edge = "bottom", force = [0, "2 kN/m"]} -> write the number alone, in N/mm: 2
 load.wind = {direction = [0, 0, 1], pressure = "0.3 kPa"} -> write the number alone, in N/m2: 300
 load.wind = {direction = [0, 0, 1], speed = "90 km/h"} -> write the number alone, in m/s: 25
+load.gravity = 9810 -> gravity = 9810: expected a number <= 1000.0 m/s2; did you mean 9.81, from mm/s2?
 load.bar = {mass = "2 stone"} -> mass = '2 stone': expected a number, got a text; write the number alone, in kg
 load.patch = {at = [50, 50], radius = 0.02, force = [0, -1]}
   -> [load.patch] radius = 0.02: is less than the radius of a ring, 5 mm; lengths are in mm, did you mean 20?
