@@ -99,6 +99,7 @@ homogenize fit utf16.csv --out new.json -> utf16.csv: is not a CSV text file: it
 macro_fem run comma.toml --out new -> comma.toml: is not TOML: line 2: has a decimal comma; write 330.5
 macro_fem run semicolon.toml --out new -> line 1: has a semicolon; write commas in lists, and each key on a line of its
 macro_fem run bare.toml --out new -> line 1: write support.kind = "hooks", a text in quotes
+macro_fem run capital.toml --out new -> line 1: write true, without capitals
 macro_fem run unit.toml --out new -> line 1: write the number alone: 5
 macro_fem run scene.toml --out new --law curtain -> is a folder of a curtain, not a law
 macro_fem run table.csv --out new -> table.csv: is a strain-load table, not a scene; homogenize fit takes it
@@ -145,6 +146,7 @@ def folder(tmp_path_factory):
     (out / "comma.toml").write_text("[curtain]\nwidth = 330,5\n")
     (out / "semicolon.toml").write_text('curtain.width = 1; curtain.height = 2 # "a; b"\n')
     (out / "bare.toml").write_text("support.kind = hooks\n")
+    (out / "capital.toml").write_text("load.bar.straight = True\n")
     (out / "unit.toml").write_text("support.pitch = 5 mm\n")
     run("macro_fem", "run", out / "scene.toml", "--out", out / "curtain", "--no-picture")
     return out

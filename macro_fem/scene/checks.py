@@ -151,7 +151,7 @@ def check_sizes(scene: Scene, r1: float | None) -> None:
     limits += [(f"{where}: length", sum(map(dist, line, line[1:])), r1, "radius") for where, line in lines]
     for where, value, least, what in limits:
         if value < least:
-            hint = f", did you mean {1e3 * value:g}?" if 1e3 * value >= least else ""
+            hint = f", did you mean {1e3 * value:g}? ({value:g} metres)" if 1e3 * value >= least else ""
             scene.refuse(
                 f"{where} = {value:g}: is less than the {what} of a ring, {least:g} mm; lengths are in mm{hint}"
             )

@@ -113,7 +113,8 @@ def patch_load(load: PatchLoad, scene: Scene, mesh: CurtainMesh, disc: Discretiz
     shares = disk_areas(mesh.mesh.p.T[mesh.mesh.t.T], np.array(load.at), load.radius)
     across = float(np.ptp(mesh.mesh.p, axis=1).max())
     if load.radius > across:
-        scene.refuse(f"[load.patch] radius = {load.radius:g}: is larger than the curtain, {across:g} mm across")
+        what = f"is larger than the curtain, {across:g} mm across, were metres meant?"
+        scene.refuse(f"[load.patch] radius = {load.radius:g}: {what}")
     if shares.sum() <= 0.0:
         scene.refuse(f"[load.patch] at = {list(load.at)}, radius = {load.radius:g}: holds no cell of the curtain")
     even = np.tile(shares / disc.cell_area, disc.n_quad)

@@ -9,8 +9,9 @@ from typing import Any
 
 
 def cut(text: str) -> str:
-    """A text in which of every word of more than 80 letters the middle is left out; names of folders are words."""
-    return re.sub(r"[^\s/\\]{81,}", lambda word: f"{word[0][:38]}...{word[0][-39:]}", text)
+    """A text on one line in which of every word of more than 80 letters the middle is left out; names of folders are
+    words."""
+    return re.sub(r"[^\s/\\]{81,}", lambda word: f"{word[0][:38]}...{word[0][-39:]}", " ".join(text.splitlines()))
 
 
 class InputError(ValueError):

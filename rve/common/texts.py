@@ -147,6 +147,8 @@ def _toml_hint(content: bytes, said: str) -> str:
         hint = "has a semicolon; write commas in lists, and each key on a line of its own"
     elif not sign and re.match(r"[\w.-]+\s*:", line):
         hint = "write = between a key and its value"
+    elif value.strip().lower() in ("true", "false"):
+        hint = f"write {value.strip().lower()}, without capitals"
     elif not hint and re.fullmatch(r"\s*[A-Za-z][\w.-]*", value):
         hint = f'write {key.strip():.80} = "{value.strip():.80}", a text in quotes'
     return f"line {place[1]}: {hint}" if hint else ""
@@ -179,7 +181,7 @@ def read_columns(path: AnyPath, required: tuple[str, ...], optional: Sequence[st
             raise InputError(f"{path}: column {name} occurs twice; {has}")
         if name not in header:
             for sign, words in ((";", "semicolons"), ("\t", "tabs")):
-                if sign in "".join(rows[0]):
+                if rows and sign in "".join(rows[0]):
                     raise InputError(f"{path}: has {words} between columns; write commas, and decimals with a point")
             for other in nearest(name, [other for other in header if other not in required]):
                 has = f"write {name} in place of {other}"

@@ -56,9 +56,9 @@ load.wind = {direction = [0, 0, 1], speed = "90 km/h"} -> write the number alone
 load.gravity = 9810 -> gravity = 9810: expected a number <= 1000.0 m/s2; did you mean 9.81, from mm/s2?
 load.bar = {mass = "2 stone"} -> mass = '2 stone': expected a number, got a text; write the number alone, in kg
 load.patch = {at = [50, 50], radius = 0.02, force = [0, -1]}
-  -> [load.patch] radius = 0.02: is less than the radius of a ring, 5 mm; lengths are in mm, did you mean 20?
+  -> radius = 0.02: is less than the radius of a ring, 5 mm; lengths are in mm, did you mean 20? (0.02 metres)
 load.patch = {at = [50, 50], radius = 101, force = [0, -1]}
-  -> [load.patch] radius = 101: is larger than the curtain, 100 mm
+  -> [load.patch] radius = 101: is larger than the curtain, 100 mm across, were metres meant?
 obstacle = [{kind = "wall", facing = [0, 1], name = "a"}, {kind = "floor", name = "a"}] -> name = 'a': is that of two
 motion.duration = 1.0; body = [{name = "b", kind = "sphere", radius = 9, mass = 1, at = [0, 0, 99]},
   {name = "b", kind = "sphere", radius = 9, mass = 1, at = [0, 0, 150]}] -> [[body]] name = 'b': is that of two
