@@ -144,6 +144,7 @@ def test_every_public_record_is_copied_pickled_and_replaced_as_it_is(nouns):
 
 
 SCENE = macro_fem.Scene(macro_fem.Rectangle(100, 100), [macro_fem.Top()])
+PIECE = rve.FiniteMesh.rectangle(rve.Cell(), 1, 1)
 REFUSED = [
     (lambda: rve.solve_table({"r1": 5}), "expected Cell, got a dict"),
     (lambda: rve.solve_table(rve.Cell), "got the class Cell; Cell(r1, r2) makes one"),
@@ -175,6 +176,10 @@ REFUSED = [
         lambda: homogenize.fit("table.csv"),
         "table = 'table.csv': expected StrainTable, got a text; read_table reads a file",
     ),
+    (lambda: rve.FiniteMesh.rectangle(None, 1, 1), "rectangle: cell = None: expected Cell"),
+    (lambda: rve.FiniteMesh.inside(rve.Cell(), "square"), "outline = 'square': expected a list"),
+    (lambda: PIECE.solve(PIECE.X, PIECE.X > 9, PIECE.X, options={"starts": 3}), "options = {'starts': 3}: expected"),
+    (lambda: rve.cell_of_sides(5.0, 0.5, 11.0), "sides = 11.0: expected a list of 2"),
     (lambda: homogenize.fit([1]), "expected StrainTable, got a list"),
     (lambda: homogenize.fit_table(None), "path = None: expected a text or a path"),
     (lambda: homogenize.FitOptions(kind="Net"), "did you mean net?"),
