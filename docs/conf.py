@@ -29,6 +29,8 @@ EXAMPLES = HERE.parent / "examples"
 PACKAGES = ("rve", "homogenize", "macro_fem")
 WORDS = {stringify_annotation(kind, "smart"): word for kind, word in ((ArrayLike, "ArrayLike"), (Array, "ndarray"))}
 """Types in the words of users."""
+SENTENCE_END = re.compile(r"(?<=[^\s.])(?<!\b[A-Z])\. (?=[A-Z`]|[a-z_]+:)")
+"""A dot behind a word that is no initial, and before a capital letter, a name, or the explanation of one."""
 NESTED = r"(?:[^\[\]]|\[(?:[^\[\]]|\[[^\[\]]*\])*\])+?"
 RANGED = re.compile(rf"~?(?:typing\.)?Annotated\[({NESTED}), ~?msgspec\.Meta\([^()]*\)\]")
 """A type with a range; ranges are those of the tables of scenes."""
@@ -92,11 +94,12 @@ def links(package: str) -> str:
 
 
 def _first(package: str, name: str) -> str:
+    """The first sentence of what a name is; a dot between lower-case words, of a product or "eq." say, ends none."""
     found = getattr(importlib.import_module(package), name)
     if isinstance(found, Mapping):
         return ", ".join(map(str, found))
     text = found.__doc__ or "" if callable(found) else f"{found}"
-    return " ".join(text.split("\n\n")[0].split()).split(". ")[0].replace("|", "\\|")
+    return SENTENCE_END.split(" ".join(text.split("\n\n")[0].split()))[0].replace("|", "\\|")
 
 
 def signature_of_fields(app: Any, what: str, name: str, found: Any, *rest: Any) -> tuple[str, None] | None:

@@ -20,7 +20,7 @@ from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.stored import StoredLaw
 from homogenize.strength import Strength, strength_of_table
 from rve import read_table
-from rve.common import Array, InputError
+from rve.common import Array, InputError, checked
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +44,7 @@ class LawInterval:
         return np.maximum(self.outer.support(S) - self.inner.support(S), 0.0)
 
 
+@checked
 def law_interval(
     rows: LockedRows,
     law: MembraneLaw | None = None,

@@ -13,7 +13,7 @@ from homogenize import laws
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.stored import SCHEMA, UNITS, StoredLaw
 from homogenize.strength import Strength, read_strength
-from rve.common import Typed, read_json_object, read_typed, shown
+from rve.common import Typed, checked, read_as, read_json_object, read_typed, shown
 from rve.common.rings import check_rings
 
 DEFAULT_LAW = Path(__file__).parent / "data" / "rings_10.json"
@@ -53,6 +53,7 @@ def default_law() -> StoredLaw:
     return load_law(DEFAULT_LAW)
 
 
+@checked
 def strength_of_law(law: MembraneLaw) -> Strength | None:
     """The strength of the rings behind `law`; None if it has none, as laws without a file and those of old tables."""
     return law.strength if isinstance(law, StoredLaw) else None
@@ -63,7 +64,8 @@ def load_law(path: str | Path) -> StoredLaw:
 
     InputError names file, key and value of what this version does not read.
     """
-    found = read_typed(LawEntries, read_json_object(path), f"{path}:")
+    with read_as("law", path):
+        found = read_typed(LawEntries, read_json_object(path), f"{path}:")
     strength = found.strength
     check_rings(found.cell or {}, f"{path}: cell")
     return replace(

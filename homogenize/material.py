@@ -8,12 +8,13 @@ from homogenize.interval import LawInterval
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.stored import StoredLaw
 from homogenize.strength import MAKE_AGAIN
-from rve.common import InputError
+from rve.common import InputError, checked
 from rve.common.materials import Material, material_of
 
 Kind = TypeVar("Kind", bound=MembraneLaw | LawInterval)
 
 
+@checked
 def with_material(law: Kind, given: Mapping[str, Any], where: str = "") -> Kind:
     """The law for rings whose material is what `given` says, as `rve.common.materials.material_of` reads it.
 

@@ -11,20 +11,17 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta
 
 from homogenize.directions import Directions, folds_of, tensile_part
-from rve import cauchy_line_load
-from rve.common import Array, Flags, InputError, Rows, Typed, read_entry, read_typed
+from rve import StrainTable, cauchy_line_load
+from rve.common import Array, Flags, InputError, Rows, Typed, checked, read_entry, read_typed
 from rve.common.materials import Material, Stress
 from rve.common.rings import Joint
 from rve.common.tensor import IDENTITY, WEIGHT, eigenvalues, trace
-
-if TYPE_CHECKING:
-    from rve import StrainTable
 
 MAKE_AGAIN = "make the table again with rve table --rings, and fit the law again"
 
@@ -170,6 +167,7 @@ def _size_and_direction(S: Array) -> tuple[Array, Array]:
     return size, np.where(some[:, None], S / np.where(some, size, 1.0)[:, None], 0.5 * IDENTITY)
 
 
+@checked
 def strength_of_table(table: StrainTable) -> Strength | None:
     """The strength of a table with columns of its rings, with its error between rows; None for a table without them.
 

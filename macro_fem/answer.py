@@ -10,7 +10,7 @@ from macro_fem.output.forces import support_rows
 from macro_fem.output.pictures import Pictures
 from macro_fem.scene.scene import Scene, load_scene
 from macro_fem.solvers.status import Status
-from rve.common import check_out_job, csv_text, job, require, write_text
+from rve.common import check_out_job, checked, csv_text, job, require, write_text
 from rve.common.optional import Axes, DataFrame
 
 RECORD = "summary.json"
@@ -36,6 +36,7 @@ class Solution(ABC):
     def summary(self) -> dict[str, Any]:
         """The numbers of summary.json: lengths in mm, forces in N, line loads in N per mm of reference length."""
 
+    @checked
     def save(
         self,
         folder: str | Path,

@@ -217,20 +217,25 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animatio
 
     Exit code 0: converged to a local minimum; 1: files are written, status and message say why not; 2: bad input.
     """
+    from homogenize import default_law, load_law
     from macro_fem.job import run_rings
     from macro_fem.motion.files import run_motion
     from macro_fem.output.told import default_law_lines, every_ring_lines, motion_lines
+    from macro_fem.rings.cost import ring_cost
     from macro_fem.scene.scene import load_scene
 
     say(*default_law_lines(law_path))
     plane, law = () if how["space"] else ("--plane",), () if law_path is None else ("--law", law_path)
-    is_moving = load_scene(scene).motion is not None
+    hung, own = load_scene(scene), (default_law() if law_path is None else load_law(law_path)).cell
+    is_moving = hung.motion is not None
     if is_moving:
         summary = run_motion(scene, law_path, out, animation=animation, goes_on=goes_on, **how)
         say(*motion_lines(summary, out))
     elif goes_on or animation:
         raise InputError(AT_REST if goes_on else NO_MOMENTS)
     else:
+        if own is not None:
+            say(f"expected: {ring_cost(hung, own, space=how['space'])}")
         summary = run_rings(scene, law_path, out, **how)
         say(*every_ring_lines(summary, out))
     _answer_or_go_on(summary, "rings", scene, *law, *plane, "--out", out)
@@ -241,7 +246,7 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animatio
 @main.command(epilog="Example: macro_fem compare scene.toml --law law.json --out both.json")
 @_ring_options
 @click.option("--out", type=PATH, help="File for the numbers, JSON.")
-def compare(scene: Path, law_path: Path | None, space: bool, start: str, out: Path | None) -> None:
+def compare(scene: Path, law_path: Path | None, space: bool, start: Any, out: Path | None) -> None:
     """Solve SCENE as a membrane and ring by ring, and print both side by side.
 
     Exit code 0: both converged; 1: one of them did not; 2: bad input.

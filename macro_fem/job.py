@@ -2,10 +2,9 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from homogenize import (
-    CellInfo,
     LawInterval,
     MembraneLaw,
     default_law,
@@ -23,20 +22,20 @@ from macro_fem.problem import make_problem
 from macro_fem.rings.every_ring import Comparison, EveryRing, EveryRingSolution
 from macro_fem.rings.ring_scene import in_material, ring_scene
 from macro_fem.scene.checks import check_bounds, check_scene, check_sizes
-from macro_fem.scene.loads import areal_mass
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.moving import scaled
 from macro_fem.scene.scene import Scene, load_scene
 from macro_fem.scene.tables import Combination, LiveLoad
 from macro_fem.solution import CurtainSolution
 from rve import Cell
-from rve.common import Cache, InputError, check_out_job, noted_if_stopped, part_of
+from rve.common import Cache, InputError, check_out_job, checked, noted_if_stopped, part_of
 
 Who = MembraneLaw | LawInterval | OnDemand | EveryRing | None
 """Who answers: a law, the interval of laws of a table, a law asked of the rings on the way, or every ring; None for the
 law of rings with r1 = 5 mm and r2 = 0.5 mm."""
 
 
+@checked
 def solve(scene: Scene, who: Who = None) -> Solution:
     """The answer to a scene.
 
@@ -57,23 +56,21 @@ def solve(scene: Scene, who: Who = None) -> Solution:
     if isinstance(who, EveryRing):
         return solve_every_ring(scene, who)
     answer = _on_demand(scene, who) if isinstance(who, OnDemand) else solve_membrane(scene, who)
-    others, cell = [], answer.solution.problem.law.cell
+    others = []
     for number, one in enumerate(scene.combination, 1):
         with part_of(f"combination {one.name}, {number} of {len(scene.combination)}"):
-            others.append((one, solve(combined(scene, one, cell), who)))
+            others.append((one, solve(combined(scene, one), who)))
     return replace(answer, combinations=tuple(others))
 
 
-def combined(scene: Scene, combination: Combination, cell: CellInfo | None) -> Scene:
-    """The scene with each load times its factor; `cell`: that of the law, which tells the weight of the mesh."""
-    curtain, keys = scene.curtain, ("force", "pressure", "mass")
-    if combination.weight != 1.0:
-        curtain = replace(curtain, areal_mass=combination.weight * areal_mass(scene, cell))
+def combined(scene: Scene, combination: Combination) -> Scene:
+    """The scene with each load times its factor."""
+    keys = ("force", "pressure", "mass")
     items = tuple(
         scaled(item, getattr(combination, item.kind), keys) if isinstance(item, LiveLoad) else item
         for item in scene.items
     )
-    return replace(scene, curtain=curtain, items=items, combination=())
+    return replace(scene, items=items, combination=(), weight=combination.weight)
 
 
 def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -> MembraneSolution:
@@ -184,7 +181,10 @@ def run_rings(
     return solve(scene, EveryRing(law, **how)).save(out, picture=picture, html=html, inputs=inputs)
 
 
-def compare(scene: Scene, law: MembraneLaw | None = None, *, space: bool = True, start: str = "slack") -> Comparison:
+@checked
+def compare(
+    scene: Scene, law: MembraneLaw | None = None, *, space: bool = True, start: Literal["slack", "disk"] = "slack"
+) -> Comparison:
     """The membrane on the mesh of the scene, and its rings from a start "slack" or "disk", see `EveryRing`.
 
     InputError for scenes that one of both cannot be.

@@ -26,7 +26,7 @@ from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Combination
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.status import Status
-from rve.common import InputError, check_out_file, csv_text, tell, write_text
+from rve.common import InputError, check_out_file, checked, csv_text, tell, write_text
 from rve.common.files import write_mesh_file
 from rve.common.optional import Axes
 
@@ -116,6 +116,7 @@ class MembraneSolution(Solution):
         check_out_file(path, "path")
         write_curtain_page(path, self.loaded)
 
+    @checked
     def write_report(self, path: str | Path, inputs: Sequence[Path | None] = ()) -> None:
         """Write a report as PDF: scene, shape, order, forces, factors, limits, checksums of `inputs` (matplotlib)."""
         Pictures(picture=False, report=Path(path)).check(inputs=inputs)
@@ -123,6 +124,7 @@ class MembraneSolution(Solution):
 
         write_report(path, self.loaded, self.summary, inputs)
 
+    @checked
     def write_dxf(self, path: str | Path) -> None:
         """Write the outline of the flat sheet as DXF, mm; InputError without ezdxf (extra `cad`)."""
         Pictures(picture=False, dxf=Path(path)).check()
@@ -139,6 +141,7 @@ class MembraneSolution(Solution):
         """
         return plot_utilisation(self.loaded, ax)
 
+    @checked
     def rings(self, window: tuple[float, ...] | None = None) -> RingField:
         """Every ring of the curtain at full load, or in a window: place, tilt, gaps, links and contact forces, see
         `macro_fem.localize`; InputError where the law has no rings.

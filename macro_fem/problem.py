@@ -118,9 +118,10 @@ def _with_obstacles(problem: CurtainProblem) -> CurtainProblem:
 def check_breadth(scene: Scene, name: str, half: float, side: float) -> None:
     """InputError for a body, by half its least width, that would pass between the points of cells with such sides."""
     if half < THINNEST * side:
+        metres = f"; lengths are in mm, were {half:g} m meant?" if 1e3 * half >= THINNEST * side else ""
         scene.refuse(
             f"{name}: half its least width, {digits(half, 4)} mm, is less than a fifth of the sides of cells, up to "
-            f"{digits(side, 4)} mm, between which it would pass: use more cells"
+            f"{digits(side, 4)} mm, between which it would pass: use more cells{metres}"
         )
 
 

@@ -16,8 +16,9 @@ from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import Rectangle
 from macro_fem.scene.tables import Bar, Item, Wind
 from rve import solve_table, with_rings
-from rve.common import InputError, csv_text, digits, job, part_of, shown, write_text
+from rve.common import InputError, checked, csv_text, digits, job, part_of, shown, write_text
 from rve.common.drawing.plane import new_axes, save_figure
+from rve.common.typed import not_one_of
 
 VARIED: dict[str, tuple[str, str, Callable[[Item], bool]]] = {
     "pitch": ("mm", "hooks or runners", lambda item: bool(getattr(item, "has_hooks", False))),
@@ -68,6 +69,7 @@ class Size:
         text = f"{self.vary} = {self.value:.6g} {VARIED[self.vary][0]} is the last that holds with a factor"
         return f"{text} {self.factor_asked:g}: {digits(self.factor)} ({self.weakest})"
 
+    @checked
     def save(self, folder: str | Path, *, picture: bool = True) -> dict[str, Any]:
         """Write size.json, size.csv and size.png into `folder`; the record."""
         record = asdict(self)
@@ -80,6 +82,7 @@ class Size:
         return record
 
 
+@checked
 def largest_that_holds(
     scene: Scene, who: MembraneLaw | LawInterval | OnDemand | None, vary: str, ends: tuple[float, float], factor: float
 ) -> Size:
@@ -163,7 +166,7 @@ def _check(scene: Scene, who: Any, vary: str) -> None:
     if scene.motion is not None:
         scene.refuse("[motion]: is for a curtain over time, which is not sized")
     if vary not in VARIED:
-        raise InputError(f"--vary = {shown(vary)}: is not one of {', '.join(VARIED)}")
+        raise InputError(f"--vary = {shown(vary)}: {not_one_of(vary, VARIED)}")
     _, what, has = VARIED[vary]
     if vary == "r2":
         if not isinstance(who, OnDemand):

@@ -1,5 +1,6 @@
 """A solved curtain: the record that status, pictures and files are made of."""
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -8,6 +9,7 @@ import numpy as np
 from macro_fem.fem.assembly import gradient, internal_force, load_vector
 from macro_fem.fem.cells import padded, recovered
 from macro_fem.problem import CurtainProblem, gathered_start
+from macro_fem.scene.support_kinds import Track
 from macro_fem.solvers.cones import Cones, green_strain, least_slack
 from macro_fem.solvers.status import FREE, ROUNDING, Evidence, Judged, Reach, Settling, Verdict, judged, load_scale
 from rve.common import Array
@@ -79,7 +81,10 @@ class CurtainSolution(Judged):
 
     @cached_property
     def verdict(self) -> Verdict:
-        verdict = judged(self.stop, self.evidence, self.asked, self.iterations, self.reach, self.relaxation)
+        asked = [track.fullness for track in self.problem.scene.of(Track) if track.fullness is not None]
+        least = math.ceil(1e3 * max(asked, default=0.0) * (1.0 + self.reach.excess)) / 1e3
+        remedy = f"a fullness of at least {least:g}" if asked else "a smaller gather"
+        verdict = judged(self.stop, self.evidence, self.asked, self.iterations, self.reach, self.relaxation, remedy)
         return verdict if self.settling is None else self.settling.verdict(verdict)
 
     @property

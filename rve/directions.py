@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rve.common import AnyPath, Array, InputError, number_column, read_columns, shown
+from rve.common import AnyPath, Array, InputError, checked, number_column, read_as, read_columns, shown
 from rve.geometry.weave import FOUR_IN_ONE, Weave
 
 MOST_VALUES = 100_000
@@ -42,6 +42,7 @@ class LoadDirections(NamedTuple):
     beta_deg: Array
 
 
+@checked
 def grid(step: float = 5.0, weave: Weave = FOUR_IN_ONE) -> LoadDirections:
     """The paper's grid: alpha from 0 to 45 and beta from 0 to 90 degrees in steps of `step`, beta running fastest.
 
@@ -71,6 +72,7 @@ def product(alpha: Array, beta: Array) -> LoadDirections:
     return LoadDirections(a.ravel(), b.ravel())
 
 
+@checked
 def graded_grid(weave: Weave = FOUR_IN_ONE) -> LoadDirections:
     """403 load directions, close where the strain changes fast: beta near 0 and 90, alpha beyond 30 degrees.
 
@@ -85,7 +87,8 @@ def graded_grid(weave: Weave = FOUR_IN_ONE) -> LoadDirections:
 
 def read_loads(path: AnyPath) -> LoadDirections:
     """Load directions from the columns alpha_deg, beta_deg of a CSV file; raises InputError."""
-    columns = read_columns(path, LoadDirections._fields)
+    with read_as("list of loads", path):
+        columns = read_columns(path, LoadDirections._fields, LoadDirections._fields)
     known = [True] * len(columns["alpha_deg"])
     if len(known) > MOST_VALUES:
         raise InputError(f"{path}: has {len(known)} load directions, at most {MOST_VALUES} are allowed")

@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from rve.common import Array
+from rve.common import Array, checked
 from rve.common.drawing import space
 from rve.common.drawing.plane import Scale, new_axes, round_top
 from rve.common.files import write_mesh_file
@@ -147,6 +147,7 @@ def force_scale(rings: Sequence[DrawnRings]) -> Scale:
     return Scale("largest contact force on the ring, N", LEAST * top, top, largest, "log")
 
 
+@checked
 def solidity(cell: Cell, options: DirectOptions | None = None) -> float:
     """Projected area of the rings over the total area, in the reference state (locked under a pull along the grain).
 

@@ -4,7 +4,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from rve.common import Array, InputError
+from rve.common import Array, InputError, checked
 from rve.common.rings import Joint
 from rve.common.tensor import trace
 from rve.equilibrium.elastic_rings import ring_states
@@ -17,6 +17,7 @@ from rve.solve import locked_states, reference_sides
 from rve.table import StrainTable
 
 
+@checked
 def with_rings(table: StrainTable, cell: Cell, joint: str = "welded") -> StrainTable:
     """The table with compliance and strength of its rings, of the cell's material.
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rve.common import SENTENCES, Array, InputError, NotConverged, part_of, versions
+from rve.common import SENTENCES, Array, InputError, NotConverged, checked, part_of, versions
 from rve.common.files import TABLE_FORMAT
 from rve.common.rings import areal_mass
 from rve.common.tensor import double_dot
@@ -92,8 +92,10 @@ def lattice_mm(pose: Pose, cell: Cell) -> tuple[Array, Array]:
 
 def checked_angles(alpha_deg: ArrayLike, beta_deg: ArrayLike) -> tuple[Array, Array]:
     """Angles as two arrays of one length; raises InputError where they are not, or not finite."""
-    alpha = np.asarray(alpha_deg, dtype=float).ravel()
-    beta = np.asarray(beta_deg, dtype=float).ravel()
+    try:
+        alpha, beta = (np.asarray(angles, dtype=float).ravel() for angles in (alpha_deg, beta_deg))
+    except (TypeError, ValueError) as error:
+        raise InputError("alpha and beta must be numbers, or lists of them, in degrees") from error
     if alpha.shape != beta.shape or not len(alpha):
         raise InputError(f"alpha has {len(alpha)} and beta {len(beta)} values; give as many of both, and at least one")
     if not (np.isfinite(alpha).all() and np.isfinite(beta).all()):
@@ -101,6 +103,7 @@ def checked_angles(alpha_deg: ArrayLike, beta_deg: ArrayLike) -> tuple[Array, Ar
     return alpha, beta
 
 
+@checked
 def solve_table(
     cell: Cell, loads: tuple[ArrayLike, ArrayLike] | None = None, options: DirectOptions | None = None
 ) -> StrainTable:
@@ -114,13 +117,9 @@ def solve_table(
     >>> print(solve_table(Cell(), ([0.0], [45.0])).x2_mm[0, 0].round(4))
     13.1163
     """
-    if loads is None and isinstance(cell, Cell):
-        loads = grid(5.0, cell.weave)
-    if not isinstance(cell, Cell) or not isinstance(loads, tuple | list) or len(loads) != 2:
-        raise InputError("solve_table takes a Cell and a pair of angles: solve_table(Cell(r1=5, r2=0.5), grid(5.0))")
     options = options or DirectOptions()
     began = time.perf_counter()
-    alpha, beta = checked_angles(*loads)
+    alpha, beta = checked_angles(*(grid(5.0, cell.weave) if loads is None else loads))
     sides = reference_sides(cell, options)
     states = locked_states(alpha, beta, cell, options)
     record: dict[str, Any] = {}
@@ -203,7 +202,7 @@ def table_provenance(
         "r2_mm": cell.r2,
         "b_x_mm": b_x,
         "b_y_mm": b_y,
-        "density_kg_per_mm3": cell.density,
+        "density_kg_per_mm3": cell.material.density_kg_per_mm3,
         "material": asdict(cell.material),
         "areal_mass_kg_per_m2": areal_mass(cell.r1, cell.r2, ring_area, cell.density),
         "method": "direct",

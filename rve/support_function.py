@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rve.common import Array, InputError
+from rve.common import Array, ByValue, InputError, checked
 from rve.common.tensor import disc, double_dot, eigenvalues, from_disc, trace
 from rve.equilibrium.dead_load import LoadedCell
 from rve.equilibrium.interior_point import DirectOptions, unit_loads
@@ -24,8 +24,8 @@ RING = 0.1
 """Distance in the disc of loads of unit trace at which locked states are sought as starts for a load."""
 
 
-@dataclass(frozen=True, repr=False)
-class SupportValue:
+@dataclass(frozen=True, eq=False, repr=False)
+class SupportValue(ByValue):
     """Locked states of largest work under n dead loads.
 
     S (n, 3) as asked for; h (n,) = S:E in the unit of S, nan where no state was found; E (n, 3); x2_mm, x3_mm (n, 2);
@@ -83,6 +83,7 @@ class SupportValue:
     __repr__ = __str__
 
 
+@checked
 def support(
     cell: Cell, S: ArrayLike, options: DirectOptions | None = None, *, known: SupportValue | None = None
 ) -> SupportValue:

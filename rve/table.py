@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common import Array, InputError, Rows, atomic_path, check_belongs, checksum, json_text, require, sidecar_path
+from rve.common.arguments import checked
 from rve.common.files import TABLE_FORMAT, AnyPath, Inputs, check_out_file
+from rve.common.records import ByValue
 from rve.common.rings import check_rings
-from rve.common.texts import csv_text, number_column, read_columns, read_json_object
+from rve.common.texts import csv_text, number_column, read_as, read_columns, read_json_object
 from rve.geometry.weave import WEAVES
 
 if TYPE_CHECKING:
@@ -48,8 +50,8 @@ class RowQuality(Rows):
     iterations: NDArray[np.intp]
 
 
-@dataclass(frozen=True, repr=False)
-class StrainTable:
+@dataclass(frozen=True, eq=False, repr=False)
+class StrainTable(ByValue):
     """A strain-load table of n rows.
 
     alpha_deg, beta_deg (n,); E, S (n, 3); x2_mm, x3_mm (n, 2); unique (n,) bool; status (n,) str; quality: how well
@@ -138,6 +140,7 @@ def check_out_table(path: AnyPath, option: str = "--out", inputs: Inputs = ()) -
     check_out_file(sidecar, option, inputs, is_sidecar=True)
 
 
+@checked
 def write_table(table: StrainTable, path: AnyPath) -> None:
     """Write the CSV and its sidecar JSON, which holds the SHA-256 of the CSV; an unknown number is an empty cell.
 
@@ -162,7 +165,8 @@ def read_table(path: AnyPath) -> StrainTable:
     an older version and holds none. A strain counts as unique where the column `unique` is missing or its cell empty.
     Raises InputError naming file, line, column and value.
     """
-    columns = read_columns(path, _REQUIRED)
+    with read_as("strain-load table", path):
+        columns = read_columns(path, _REQUIRED, [*COLUMNS, "branch", *_PARTS["compliance"], *_PARTS["strength"]])
     status = np.array([text.strip() for text in columns["status"]])
     good = (status == "converged").tolist()
 

@@ -1,5 +1,6 @@
 """Every command, scene and Python block of tutorial, how-to and the page of Python runs, in the order of the page."""
 
+import html
 import os
 import re
 import subprocess
@@ -95,6 +96,17 @@ def test_the_site_builds_without_a_warning_and_loads_nothing_from_elsewhere(tmp_
     for page in tmp_path.rglob("*.html"):
         loaded = re.findall(r"<(?:script|img|link)[^>]*(?:src|href)=[\"'](https?:[^\"']+)", page.read_text("utf-8"))
         assert not loaded, page.name
+        text = re.sub(r"<(pre|code|script|style)\b.*?</\1>", "", page.read_text("utf-8"), flags=re.DOTALL)
+        raw = re.findall(r"\\[A-Za-z]+|\$\S[^$<]*\$", re.sub(r"<[^>]+>", "", text))  # TeX that was not typeset
+        assert page.parent.name == "_modules" or not raw, (page.name, raw)
+    listed = (tmp_path / "reference" / "python.html").read_text("utf-8")
+    for package in (rve, homogenize, macro_fem):
+        for name in package.__all__:
+            row = rf'<td><p><a [^>]*names/{package.__name__}\.{name}\.html">.*?</td>\s*<td>(.*?)</td>'
+            told = html.unescape(re.sub(r"<[^>]+>", "", re.search(row, listed, re.DOTALL)[1]).strip())
+            noun = getattr(package, name)
+            whole = " ".join((noun.__doc__ or "").split("\n\n")[0].split()).replace("`", "") if callable(noun) else told
+            assert re.match(r"$|\.$|\. ([A-Z]|\w+:)", whole.removeprefix(told)), f"{name}: {told}"  # a whole sentence
 
 
 @pytest.mark.parametrize("package", [rve, homogenize, macro_fem], ids=lambda package: package.__name__)

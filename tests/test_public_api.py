@@ -1,16 +1,19 @@
 """What a user meets in a notebook: the public roots from rings to a curtain, and what they return and refuse."""
 
+import copy
 import dataclasses
 import json
 import re
 import subprocess
 import sys
 import tomllib
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import sparse
 
 import homogenize
 import macro_fem
@@ -56,6 +59,169 @@ def test_the_answer_balances_its_weight(answer, tmp_path):
     saved = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert saved["mean_height_mm"] == summary["mean_height_mm"]
     assert saved["files"].keys() == {"curtain.vtu", "support_forces.csv", "order.csv"}
+
+
+def records_in(value):
+    """Every record in a value, with those in its fields."""
+    if isinstance(value, list | tuple):
+        return [one for part in value for one in records_in(part)]
+    if not dataclasses.is_dataclass(value):
+        return []
+    return [value, *records_in([getattr(value, item.name) for item in dataclasses.fields(value)])]
+
+
+def assert_same(a, b):
+    """Fields of records and arrays are equal to the bit."""
+    assert type(a) is type(b)
+    if dataclasses.is_dataclass(a):
+        for item in dataclasses.fields(a):
+            assert_same(getattr(a, item.name), getattr(b, item.name))
+    elif isinstance(a, list | tuple):
+        for one, other in zip(a, b, strict=True):
+            assert_same(one, other)
+    elif sparse.issparse(a):
+        assert (a != b).nnz == 0
+    elif not callable(a):
+        np.testing.assert_equal(a, b)
+
+
+def sent(noun):
+    """A record as a worker process gets it, pickled."""
+    return ForkingPickler.loads(ForkingPickler.dumps(noun))
+
+
+@pytest.fixture(scope="module")
+def nouns(table, answer, tmp_path_factory):
+    """Every public record, after it was used."""
+    out = tmp_path_factory.mktemp("nouns")
+    answer.save(out, picture=False)
+    cell, law, E = rve.Cell(), homogenize.elastic_law(homogenize.default_law()), np.array([[0.1, 0.0, 0.1]])
+    law.strength.utilisation(E)
+    scene = macro_fem.Scene(macro_fem.Rectangle(66, 63), [macro_fem.Hooks(pitch=66)], macro_fem.Mesh(4))
+    every = macro_fem.solve(scene, macro_fem.EveryRing(cell))
+    still, n = rve.slack_rings(every.found.mesh), len(every.found.centre)
+    at_rest = rve.ring_places(still), np.zeros((n, 3)), np.zeros((n, 3), bool), still.centre
+    drawn = [still.drawn, rve.step_rings(still, np.ones(2 * n), *at_rest)]
+    of_rings = [rve.DirectOptions(), rve.FiniteOptions(), rve.RoundBody((0.0, 0.0, -50.0), 5.0, 1.0, "ball")]
+    of_rings += [rve.support(cell, [0.5, 0.0, 0.5]), rve.pulled_ring(5.0, 0.5), rve.cell_forces(E[0] + 1.0, cell)]
+    of_rings += [rve.HalfSpace((0.0, 1.0, 0.0), -99.0), rve.locked_arrangements(cell), rve.nearest_poses(E, cell)]
+    laws = [law, law.half_spaces(), law.cut(E), law.response(E), homogenize.ClothLaw(), homogenize.diagonal_net()]
+    laws += [homogenize.FitOptions(), homogenize.read_law_interval(), homogenize.locked_strain(law, [20.0], [30.0])]
+    at, kinds = [0.0, 0.0, 0.0], macro_fem
+    scenes = [kinds.Disk(5), kinds.Outline([[0, 0], [1, 0], [1, 1]]), kinds.MeshFile("a.msh"), kinds.Rail()]
+    scenes += [kinds.Edge("left", along=[[0, 0], [0, 9]]), kinds.Point([0, 0]), kinds.Top(), kinds.Track(fullness=1.2)]
+    scenes += [kinds.EdgeLoad("top", [0, 1]), kinds.PointLoad([0, 0], [0, 1]), kinds.PatchLoad([0, 0], 9, [0, 1])]
+    scenes += [
+        kinds.Wind([0, 1], speed=5),
+        kinds.Bar(2),
+        kinds.Combination("a", bar=1.5),
+        kinds.Floor(),
+        kinds.Start(at),
+    ]
+    scenes += [kinds.Wall([1, 0]), kinds.Sphere(at, 9), kinds.Cylinder([0, 0, 1], 9), kinds.Box(at, [9, 9, 9])]
+    scenes += [kinds.Motion(1.0), kinds.Ball(9, 1, at), kinds.OnDemand(cell), kinds.EveryRing(cell)]
+    size = macro_fem.largest_that_holds(scene, None, "pitch", (33.0, 66.0), 0.1)
+    ways = [homogenize.fit(table), rve.fit_rings(np.zeros((1, 3), int), np.zeros((1, 3)), np.eye(3)[2:], cell)]
+    answers = [table, answer, answer.rings(), every, size, macro_fem.read_curtain(out)]
+    return records_in([of_rings, laws, scenes, drawn, ways, answers])
+
+
+def test_every_public_record_is_copied_pickled_and_replaced_as_it_is(nouns):
+    """Equal to the record where records of its kind are equal by their fields, and to be used as it is."""
+    by_kind = {type(noun): noun for noun in nouns}
+    names = [getattr(package, name) for package in (rve, homogenize, macro_fem) for name in package.__all__]
+    public = {kind for kind in names if isinstance(kind, type) and dataclasses.is_dataclass(kind)}
+    assert public <= by_kind.keys()
+    for kind in public:
+        noun = by_kind[kind]
+        ways = (copy.copy, copy.deepcopy, dataclasses.replace, sent)
+        for again in (way(noun) for way in ways):
+            assert_same(noun, again)
+            assert_same(noun, dataclasses.replace(again))
+            assert str(again) == str(noun)
+            if kind.__eq__ is not object.__eq__:
+                assert again == noun
+
+
+SCENE = macro_fem.Scene(macro_fem.Rectangle(100, 100), [macro_fem.Top()])
+PIECE = rve.FiniteMesh.rectangle(rve.Cell(), 1, 1)
+REFUSED = [
+    (lambda: rve.solve_table({"r1": 5}), "expected Cell, got a dict"),
+    (lambda: rve.solve_table(rve.Cell), "got the class Cell; Cell(r1, r2) makes one"),
+    (lambda: rve.solve_table(rve.Cell(), 5), "loads = 5: expected a list of 2"),
+    (lambda: rve.solve_table(rve.Cell(), ([0.0], ["a"])), "alpha and beta must be numbers"),
+    (lambda: rve.solve_table(rve.Cell(), ([0.0], [90.0]), {"branches": "first"}), "expected DirectOptions, got a dict"),
+    (lambda: rve.support(None, [1, 0, 1]), "cell = None: expected Cell"),
+    (lambda: rve.support(rve.Cell(), None), "S = None: expected a list"),
+    (lambda: rve.with_rings("table.csv", rve.Cell()), "expected StrainTable, got a text; read_table reads a file"),
+    (lambda: rve.grid("5"), "step = '5': expected a number"),
+    (lambda: rve.read_table({}), "a file is read by its path, not from {}"),
+    (lambda: rve.write_table(None, "x.csv"), "table = None: expected StrainTable"),
+    (lambda: rve.Cell(r1="5 mm"), "r1 = '5 mm': expected a number, got a text; write the number alone, in mm: 5"),
+    (lambda: rve.Cell(material={"density": 5.0}), "is no Material, nor the name of one"),
+    (lambda: rve.Cell(weave="4in1"), "weave = '4in1': is not one of 4-in-1, 6-in-1; did you mean 4-in-1?"),
+    (lambda: rve.named_material("titanium"), "did you mean titanium grade"),
+    (lambda: rve.pulled_ring(5, 0.5, "steel"), "material = 'steel': expected Material"),
+    (lambda: rve.FiniteOptions(tolerance=float("nan")), "FiniteOptions: tolerance = nan: expected a number > 0.0"),
+    (lambda: rve.FiniteOptions(tolerance=0), "tolerance = 0: expected a number > 0.0"),
+    (lambda: rve.FiniteOptions(tolerance=-1e-8), "expected a number > 0.0"),
+    (lambda: rve.FiniteOptions(reach=float("inf")), "reach = inf: expected a number <= 1.0"),
+    (lambda: rve.FiniteOptions(max_iterations=2.5), "max_iterations = 2.5: expected a whole number, got a number"),
+    (lambda: rve.FiniteOptions(patience=0), "patience = 0: expected a whole number >= 1"),
+    (lambda: rve.FiniteOptions(starts=0), "starts = 0: expected a whole number >= 1"),
+    (lambda: rve.FiniteOptions(seed=-1), "seed = -1: expected a whole number >= 0"),
+    (lambda: rve.FiniteOptions(first=1e-9, last=1e-3), "last = 0.001: is more than first = 1e-09"),
+    (lambda: rve.DirectOptions(tolerance="small"), "tolerance = 'small': expected a number, got a text"),
+    (
+        lambda: homogenize.fit("table.csv"),
+        "table = 'table.csv': expected StrainTable, got a text; read_table reads a file",
+    ),
+    (lambda: rve.FiniteMesh.rectangle(None, 1, 1), "rectangle: cell = None: expected Cell"),
+    (lambda: rve.FiniteMesh.inside(rve.Cell(), "square"), "outline = 'square': expected a list"),
+    (lambda: PIECE.solve(PIECE.X, PIECE.X > 9, PIECE.X, options={"starts": 3}), "options = {'starts': 3}: expected"),
+    (lambda: rve.cell_of_sides(5.0, 0.5, 11.0), "sides = 11.0: expected a list of 2"),
+    (lambda: homogenize.fit([1]), "expected StrainTable, got a list"),
+    (lambda: homogenize.fit_table(None), "path = None: expected a text or a path"),
+    (lambda: homogenize.FitOptions(kind="Net"), "did you mean net?"),
+    (lambda: homogenize.load_law(5), "a file is read by its path, not from 5"),
+    (lambda: homogenize.default_law().save(None), "path = None: expected a text or a path"),
+    (lambda: homogenize.elastic_law("law.json"), "law = 'law.json': expected MembraneLaw"),
+    (lambda: homogenize.with_material(homogenize.default_law(), "steel"), "given = 'steel': expected a dict"),
+    (lambda: homogenize.locked_strain(homogenize.default_law(), [20.0], None), "beta_deg = None: expected a list"),
+    (
+        lambda: macro_fem.solve({"curtain": {}}),
+        "expected Scene, got a dict; load_scene reads a file, read_scene a dict",
+    ),
+    (lambda: macro_fem.solve(None), "scene = None: expected Scene"),
+    (lambda: macro_fem.solve(SCENE, "law.json"), "who = 'law.json': expected MembraneLaw or LawInterval"),
+    (lambda: macro_fem.solve(SCENE, rve.Cell()), "solve takes a law, OnDemand(cell) or EveryRing(cell), not a Cell"),
+    (lambda: macro_fem.compare(SCENE, start="disc"), "start = 'disc': expected 'slack' or 'disk'"),
+    (lambda: macro_fem.localize(5), "curtain = 5: expected Curtain or a text or a path"),
+    (lambda: macro_fem.load_scene(SCENE), "a file is read by its path, not from Scene("),
+    (lambda: macro_fem.read_scene("scene.toml"), "scene: is not a table of names and values"),
+    (lambda: macro_fem.largest_that_holds(SCENE, None, "pitch", 5, 1.5), "ends = 5: expected a list of 2"),
+    (lambda: macro_fem.largest_that_holds(SCENE, None, "pithc", (5, 9), 1.5), "did you mean pitch?"),
+    (lambda: macro_fem.Scene({"width": 5}), "expected Shape, got a dict"),
+    (lambda: macro_fem.Scene(SCENE.curtain, macro_fem.Top()), "is no list of supports, loads and obstacles"),
+    (lambda: macro_fem.Scene(SCENE.curtain, [], mesh={"cells": 4}), "expected Mesh, got a dict"),
+    (lambda: macro_fem.Scene(SCENE.curtain, [], combination=[{"name": "a"}]), "expected a list, each Combination"),
+    (lambda: macro_fem.Scene(SCENE.curtain, [], material="steel"), "material = 'steel': is no dict"),
+    (lambda: macro_fem.EveryRing("law.json"), "rings = 'law.json': expected Cell or MembraneLaw"),
+    (lambda: macro_fem.EveryRing(start="disc"), "start = 'disc': expected 'slack' or 'disk'"),
+    (lambda: macro_fem.OnDemand({"r1": 5}), "expected Cell, got a dict"),
+]
+
+
+@pytest.mark.parametrize(("call", "sentence"), REFUSED, ids=[sentence for _, sentence in REFUSED])
+def test_what_no_function_takes_is_one_sentence(call, sentence):
+    with pytest.raises(rve.InputError, match=re.escape(sentence)) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+
+
+def test_arguments_that_are_missing_are_told_by_python():
+    with pytest.raises(TypeError, match=r"solve\(\) missing 1 required positional argument: 'scene'"):
+        macro_fem.solve()
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """Command lines that make no sense: one sentence, exit code 2, and nothing is written."""
 
+import re
 import shlex
 import shutil
 from pathlib import Path
@@ -17,7 +18,30 @@ mesh = {cells = 4}
 support = {kind = "hooks", pitch = 110.0}
 load = {bar = {mass = 2.0}}
 """
-REFUSED = """
+REFUSED = f"""
+rve tabel -> 'tabel' is no command; did you mean table? known are table, case,
+rve {"a" * 999} -> is no command; known are
+rve table -> Missing option '--out'
+rve table --out -> '--out' requires an argument
+rve table --out new.csv --ring -> No such option: --ring; did you mean --rings?
+rve table --out new.csv --{"a" * 999} -> No such option: --a
+rve table --out new.csv --weave 6in1 -> '6in1' is not one of '4-in-1', '6-in-1'; did you mean 6-in-1?
+rve table --out new.csv --r1 '6 cm' -> '6 cm' is not a number; write the number alone, in mm: 60
+rve table --out new.csv --density '8 g/cm3' -> write the number alone, in kg/m3: 8000
+rve table --out new.csv --r2 0,5 -> '0,5' is not a number; has a decimal comma; write 0.5
+rve table --out new.csv --density 7.85 -> --density = 7.85: expected a number >= 100.0 kg/m3; did you mean 7850, from
+rve table --out new.csv --material 'Titanium grade2' -> did you mean titanium grade 2?
+rve table --out new.csv --material {"a" * 999} -> known are steel
+rve sweep --out tables --r1 5 --r2 0.5 --ringz -> did you mean --rings?
+homogenize --verbose -> No such option: --verbose
+homogenize fit -> Missing argument 'TABLE'
+homogenize fit table.csv --out new.json --kind Refined -> did you mean refined?
+macro_fem run scene.toml extra.toml --out new -> unexpected extra argument (extra.toml)
+macro_fem size scene.toml -> Missing option '--vary'; choose from: pitch, mass, speed, r2
+macro_fem modes scene.toml --out new --number 3.5 -> '3.5' is not a whole number
+macro_fem localize curtain --out new --max-rings 0 -> 0 is not in the range x>=1
+macro_fem run {"a" * 999} --out new -> cannot be read
+macro_fem run scene.toml --out new --{"a" * 200}=3 -> No such option
 rve table --out new.csv --r2 2 -> jams
 rve table --out new.csv --alpha 0:10 -> --alpha
 rve table --out new.csv --graded --beta 10 -> --graded
@@ -47,7 +71,7 @@ homogenize strength law.json --S 1,0,1 --yield -4 -> --yield = -4.0: expected a 
 homogenize strength cloth.json --S 1,0,1 -> strength
 homogenize fit table.csv --out new.json --kind spline -> 'spline' is not one of
 homogenize fit table.csv --out nowhere/law.json -> nowhere
-homogenize fit law.json --out new.json -> column alpha_deg is missing
+homogenize fit law.json --out new.json -> law.json: is a law, not a strain-load table; macro_fem run SCENE --law
 homogenize export cloth.json --out umat.f -> kind = cloth: only polyhedral laws are exported
 homogenize plot law.json --table other.csv --out new -> the table: r2, b_x and b_y over r1 are 0.08,
 macro_fem run scene.toml --out new --rings=-5,0.5 -> r1 = -5: rings are from 0.1 to 200 mm
@@ -58,9 +82,31 @@ macro_fem run scene.toml --out new --rings 5,0.5 --cache /proc/none -> --cache =
 macro_fem run scene.toml --out new --animation -> [load] steps = 1: there is nothing to animate
 macro_fem run scene.toml --out new --report r.txt -> ends in .pdf
 macro_fem run scene.toml --out new --dxf scene.toml -> scene.toml
-macro_fem run scene.toml --out new --law table.csv -> table.csv: is not JSON
-macro_fem run scene.toml --out new --law table.json -> table.json: format
-macro_fem run law.json --out new -> law.json: is not TOML
+homogenize fit table.json --out new.json -> table.json: is a sidecar file of a table, not a strain-load table; give
+homogenize strain scene.toml --alpha 0 --beta 45 -> is a scene, not a law; macro_fem run takes it
+rve table --out new.csv --loads law.json -> law.json: is a law, not a list of loads
+macro_fem run curtain --out new -> curtain: is a folder of a curtain, not a scene; macro_fem localize takes it
+macro_fem localize law.json --out new -> law.json: is a law, not a folder of a curtain
+macro_fem localize scene.toml --out new -> scene.toml: is a scene, not a folder of a curtain; macro_fem run takes it
+macro_fem run scene.toml --out new --law curtain/summary.json -> is a record of a curtain, not a law
+macro_fem run scene.toml --out new --rings 8,1 --weave 6-in-1 --law law.json
+ -> law.json: has the weave 4-in-1 with grain y, --rings the weave 6-in-1 with grain y; give both the same one
+macro_fem run scene.toml --out new --rings 5,0.5 --grain x --law law.json -> the weave 4-in-1 with grain x; give both
+homogenize fit semicolons.csv --out new.json -> semicolons.csv: has semicolons between columns; write commas, and
+homogenize fit lower.csv --out new.json -> lower.csv: column E11 is missing; write E11 in place of e11
+homogenize fit commas.csv --out new.json -> column alpha_deg: '0,5' is not a number; has a decimal comma; write 0.5
+homogenize fit utf16.csv --out new.json -> utf16.csv: is not a CSV text file: it is no text in UTF-8; save it in this
+macro_fem run comma.toml --out new -> comma.toml: is not TOML: line 2: has a decimal comma; write 330.5
+macro_fem run semicolon.toml --out new -> line 1: has a semicolon; write commas in lists, and each key on a line of its
+macro_fem run bare.toml --out new -> line 1: write support.kind = "hooks", a text in quotes
+macro_fem run capital.toml --out new -> line 1: write true, without capitals
+macro_fem run unit.toml --out new -> line 1: write the number alone: 5
+macro_fem run scene.toml --out new --law curtain -> is a folder of a curtain, not a law
+macro_fem run table.csv --out new -> table.csv: is a strain-load table, not a scene; homogenize fit takes it
+macro_fem run curtain/curtain.vtu --out new -> is a mesh file, not a scene; a scene takes it
+macro_fem run scene.toml --out new --law table.csv -> is a strain-load table, not a law; homogenize fit takes it
+macro_fem run scene.toml --out new --law table.json -> is a sidecar file of a table, not a law
+macro_fem run law.json --out new -> law.json: is a law, not a scene
 macro_fem run moving.toml --out new --explain -> are for a curtain at rest
 macro_fem compare combined.toml -> [combination]: is for a curtain by a law
 macro_fem size scene.toml --vary speed --from 1 --to 2 --factor 1 -> Error: scene.toml: --vary speed: the scene has no
@@ -77,7 +123,7 @@ macro_fem localize curtain --out new --max-rings 3 -> --max-rings
 rve table --out /proc/t.csv --alpha 0 --beta 45 -> --out = /proc/t.csv: cannot be written
 homogenize fit table.csv --out other.json -> other.json: is the sidecar file of a table
 """
-ROWS = [line.split(" -> ") for line in REFUSED.strip().splitlines()]
+ROWS = [line.split(" -> ") for line in REFUSED.strip().replace("\n ->", " ->").splitlines()]
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +138,16 @@ def folder(tmp_path_factory):
     for name in ("table.csv", "table.json", "other.csv"):
         shutil.copy(DATA / f"table190{Path(name).suffix}", out / name)
     (out / "other.json").write_text((out / "table.json").read_text().replace('"r2_mm": 0.5', '"r2_mm": 0.4'))
+    table = (out / "table.csv").read_text()
+    (out / "semicolons.csv").write_text("\ufeff" + table.replace(",", ";").replace(".", ","))
+    (out / "lower.csv").write_text(table.replace("E11", "e11", 1))
+    (out / "commas.csv").write_text(table.replace("\n0.0,", '\n"0,5",', 1))
+    (out / "utf16.csv").write_text(table, encoding="utf-16")
+    (out / "comma.toml").write_text("[curtain]\nwidth = 330,5\n")
+    (out / "semicolon.toml").write_text('curtain.width = 1; curtain.height = 2 # "a; b"\n')
+    (out / "bare.toml").write_text("support.kind = hooks\n")
+    (out / "capital.toml").write_text("load.bar.straight = True\n")
+    (out / "unit.toml").write_text("support.pitch = 5 mm\n")
     run("macro_fem", "run", out / "scene.toml", "--out", out / "curtain", "--no-picture")
     return out
 
@@ -101,10 +157,9 @@ def test_what_makes_no_sense_is_one_sentence(command, sentence, folder, monkeypa
     monkeypatch.setattr("rve.common.commands.sweeps.CONNECT_S", 0.5)
     monkeypatch.chdir(folder)
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    message = (
-        run(*shlex.split(command), codes=(2,)).stderr.strip().split("\n\n")[-1]
-    )  # below the usage, if click refuses
+    message = run(*shlex.split(command), codes=(2,)).stderr
     assert message.startswith("Error: ")
-    assert "\n" not in message
+    assert message.index("\n") == len(message) - 1  # and no usage before it
+    assert max(map(len, re.split(r"[\s/]", message))) <= 82
     assert sentence in message
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before

@@ -19,7 +19,7 @@ import numpy as np
 from homogenize.laws.geometry import DEPENDENT, MAX_ROUNDS, polyhedron_of
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import MembraneLaw
-from rve.common import Array, InputError, write_text
+from rve.common import Array, InputError, checked, write_text
 
 PER_STATEMENT = 38  # two a line: Fortran 77 takes 19 lines beside the first
 
@@ -61,6 +61,7 @@ def data_statements(name: str, values: Array) -> list[str]:
     return lines
 
 
+@checked
 def write_umat(law: MembraneLaw, path: str | Path, title: str = "") -> None:
     """Writes the source of the law to `path` (atomic: the file is complete or absent)."""
     write_text(Path(path), umat_source(law, title))

@@ -12,7 +12,7 @@ import platform
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta
@@ -29,12 +29,10 @@ from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.report import ErrorReport
 from homogenize.laws.stored import StoredLaw
 from homogenize.strength import strength_of_table
-from rve.common import Array, InputError, Typed, checksum
+from rve import StrainTable
+from rve.common import Array, InputError, Typed, checked, checksum
 from rve.common.rings import STEEL_KG_PER_MM3, check_rings
 from rve.common.tensor import disc, trace
-
-if TYPE_CHECKING:
-    from rve import StrainTable
 
 STATED_LOAD = 1.0
 """Size S11 + S22 in N/mm of the line load at which the compliance of elastic curtains is compared with the rows'."""
@@ -65,6 +63,7 @@ class FitResult:
     law: StoredLaw
     report: ErrorReport
 
+    @checked
     def save(self, path: str | Path) -> None:
         self.law.save(path)
 
@@ -74,6 +73,7 @@ class FitResult:
     __repr__ = __str__
 
 
+@checked
 def fit_table(path: str | Path, options: FitOptions | None = None) -> FitResult:
     """Fits a law to the table file `path`; InputError (or the reader's TableError) says what is wrong with it."""
     from rve import read_table
@@ -88,6 +88,7 @@ def fit_table(path: str | Path, options: FitOptions | None = None) -> FitResult:
     return replace(result, law=replace(result.law, provenance=result.law.provenance | {"table": source}))
 
 
+@checked
 def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
     """Fits a law to a table in memory; InputError if the rows contradict each other or do not bound the strain.
 
@@ -152,6 +153,7 @@ def stiffness_by_direction(law: MembraneLaw) -> str | None:
     return f"elastic curtains: S:D S of the rows times {share.min():.3g} to {share.max():.3g} at {STATED_LOAD:g} N/mm"
 
 
+@checked
 def cell_of(table: StrainTable) -> CellInfo:
     """Radii, reference cell and areal mass of a table; InputError names a missing or impossible entry of its sidecar.
 

@@ -24,7 +24,7 @@ from homogenize.laws.geometry import Polyhedron, highest, outer_vertices, polyhe
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, check_finite
 from homogenize.laws.stored import StoredLaw
-from rve.common import Array, InputError
+from rve.common import Array, InputError, checked
 from rve.common.tensor import WEIGHT, disc, double_dot
 
 LEAST_SHARE = 1e-3
@@ -110,6 +110,7 @@ class GivingLaw(PolyhedralLaw):
         return np.asarray(2.0 * (most - size * H[0]) / size**2 + work_along(S, self.compliance))
 
 
+@checked
 def elastic_law(law: MembraneLaw) -> MembraneLaw:
     """The law of an elastic curtain: with the compliance of its rings over the direction if it holds their strength,
     else a constant one.

@@ -16,7 +16,7 @@ from msgspec import Meta
 
 from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, MembraneLaw, Response, check_finite
 from homogenize.laws.stored import StoredLaw
-from rve.common import Array, Typed, read_typed
+from rve.common import Array, Typed, checked, read_typed
 from rve.common.rings import STEEL_KG_PER_MM3, areal_mass
 from rve.common.tensor import IDENTITY, WEIGHT, disc, double_dot, dyad, from_disc, trace
 
@@ -153,6 +153,7 @@ class ElasticNet(NetLaw):
     elastic = StoredLaw.elastic
 
 
+@checked
 def diagonal_net(limit: float = 1.0, stiffness: float = STATED_STIFFNESS) -> NetLaw:
     """The abstract net: two families at +45 and -45 degrees, taut at stretch `limit`."""
     return NetLaw(np.array([[1.0, 1.0], [1.0, -1.0]]) / math.sqrt(2.0), limit, stiffness)
@@ -166,6 +167,7 @@ def ring_cell(
     return CellInfo(r1_mm, r2_mm, b_x_mm, b_y_mm, mass)
 
 
+@checked
 def ring_net(cell: CellInfo, stiffness: float = STATED_STIFFNESS) -> NetLaw:
     """The net of a ring mesh: diagonals (b_x, +-b_y) that can be drawn to 4 (r1 - r2).
 

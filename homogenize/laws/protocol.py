@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from rve.common import Array, InputError, Rows, Typed
+from rve.common import Array, ByValue, InputError, Rows, Typed
 from rve.common.rings import ArealMass, Length
 
 SAME_RINGS = 1e-6
@@ -43,11 +43,24 @@ class CellInfo(Typed):
         shapes = [np.array([one.r2_mm, one.b_x_mm, one.b_y_mm]) / one.r1_mm for one in (other, self)]
         if np.abs(np.subtract(*shapes)).max() > SAME_RINGS:
             given, here = (", ".join(f"{x:.6g}" for x in one) for one in shapes)
+            theirs, mine = other.weave(), self.weave()
+            if theirs and mine and theirs != mine:
+                raise InputError(f"{where}: has the weave {theirs}, {own} the weave {mine}; give both the same one")
             raise InputError(f"{where}: r2, b_x and b_y over r1 are {given}, those of {own} are {here}")
 
+    def weave(self) -> str:
+        """The name of the weave and its grain, by the sides of the reference cell; "" if no weave has them."""
+        from rve import cell_of_sides  # which brings the solver of every ring
 
-@dataclass(frozen=True)
-class HalfSpaces:
+        try:
+            cell = cell_of_sides(self.r1_mm, self.r2_mm, (self.b_x_mm, self.b_y_mm))
+        except InputError:
+            return ""
+        return f"{cell.weave.name} with grain {cell.grain}"
+
+
+@dataclass(frozen=True, eq=False)
+class HalfSpaces(ByValue):
     """Half-spaces S_i:E <= h_i with S_i positive semidefinite and of unit trace.
 
     S (m, 3); h (m,); extra (m,): by how much each is widened per unit of tau (`homogenize.laws.giving`), or None.
@@ -58,7 +71,7 @@ class HalfSpaces:
     extra: Array | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Cut(Rows):
     """For each strain the half-space that it violates most: S (n, 3) of unit trace, h (n,), violation S:E - h (n,).
 
@@ -71,8 +84,8 @@ class Cut(Rows):
     extra: Array | None = None
 
 
-@dataclass(frozen=True)
-class Response:
+@dataclass(frozen=True, eq=False)
+class Response(ByValue):
     """Elastic answer beyond locking: energy (n,), S = dPsi/dE (n, 3), C (n, 3, 3), closest locked strain E_star (n, 3).
 
     The tangent maps tensor components to tensor components, S = C dE with dE the triple (dE11, dE12, dE22); the factor

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Self
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.report import ErrorReport
 from homogenize.strength import Strength
-from rve.common import json_text, read_typed, write_text
+from rve.common import checked, json_text, read_typed, write_text
 from rve.common.optional import Axes
 
 SCHEMA = 1
@@ -63,6 +63,7 @@ class StoredLaw(MembraneLaw):
         """The law of rings `factor` times as compliant; the law itself if its stiffness is not that of rings."""
         return self
 
+    @checked
     def save(self, path: str | Path) -> None:
         """Writes the law file `path` (atomic: it is complete or absent); `homogenize.load_law` reads it."""
         write_text(path, json_text(law_record(self), indent=1))

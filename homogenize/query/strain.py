@@ -14,7 +14,7 @@ from homogenize.fitting.rows import LockedRows, normality, with_mirror
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.query.strain_bounds import strain_bounds
 from rve import cauchy_line_load, cauchy_of, deformation_gradient, second_pk
-from rve.common import Array, InputError, Rows, part_of, tell
+from rve.common import Array, InputError, Rows, checked, part_of, tell
 from rve.common.tensor import IDENTITY, WEIGHT, disc, from_disc, trace
 
 FLAT = 1e-6
@@ -75,6 +75,7 @@ class _Evaluation(Rows):
         return np.maximum(np.abs(self.r).max(axis=1), np.abs(self.E - _possible(self.E)).max(axis=1))
 
 
+@checked
 def locked_strain(law: MembraneLaw, alpha_deg: Array, beta_deg: Array, rows: LockedRows | None = None) -> LockedStrain:
     """Locked strain and load under the principal angle alpha and the ratio angle beta, in degrees, arrays (n,).
 
@@ -84,7 +85,10 @@ def locked_strain(law: MembraneLaw, alpha_deg: Array, beta_deg: Array, rows: Loc
     """
     if not law.compliance.any():
         raise InputError(f"kind = {law.name}: the law has no stiffness when locked, so no strain tells a load")
-    alpha, beta = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, float)) for x in (alpha_deg, beta_deg)))
+    try:
+        alpha, beta = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, float)) for x in (alpha_deg, beta_deg)))
+    except (TypeError, ValueError) as error:
+        raise InputError("alpha and beta must be numbers, or lists of as many, in degrees") from error
     scale = OFFSET / float(np.abs(law.compliance @ [0.5, 0.0, 0.5]).max())  # trace of S in X = E + A S, N/mm
     state = _newton(law, scale, alpha, beta, _start(law, scale, alpha, beta))
     for factor in RETRIES:

@@ -29,6 +29,7 @@ from rve.common import (
     tell,
     versions,
 )
+from rve.common.arguments import check_fields
 from rve.common.rings import check_ring_size
 from rve.common.tensor import WEIGHT, disc, from_disc, mirror
 
@@ -63,6 +64,7 @@ class OnDemand:
     cache: str | Path | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         read_entry(vars(self), "accuracy", Annotated[float, Meta(ge=1e-5, le=0.5)])
 
     def interval(self) -> LawInterval | None:

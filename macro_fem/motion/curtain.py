@@ -20,6 +20,7 @@ from macro_fem.output.files import curtain_mesh
 from macro_fem.output.images import Draw
 from macro_fem.output.space_view import views
 from macro_fem.problem import CurtainProblem, check_breadth, make_problem
+from macro_fem.scene.checks import check_sizes
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import Sphere
 from macro_fem.scene.scene import Scene
@@ -65,6 +66,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
     def __init__(self, scene: Scene, law: MembraneLaw) -> None:
         super().__init__(scene)
         self.law = with_material(law, dict(scene.material), f"{scene.source}: [material]")
+        check_sizes(scene, None if self.law.cell is None else self.law.cell.r1_mm)
         self.mesh = build_mesh(scene_at(scene, 0.0), self.law.cell)
         self.what, self.size = f"{self.mesh.mesh.t.shape[1]} cells", self.mesh.size
         self.is_rigid = not scene.solver.is_elastic

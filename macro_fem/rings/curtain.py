@@ -3,6 +3,7 @@
 Both come from an answer in memory, or from the files of `macro_fem run`.
 """
 
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,8 +16,11 @@ from macro_fem.fem.cells import recovered, signed_areas
 from macro_fem.scene.meshing.mesh_files import read_mesh_file
 from rve import Cell, cell_of_sides
 from rve.common import Array, Index, InputError, Rows, Typed, check_belongs, read_json_object, read_typed, types_of
+from rve.common.arguments import checked
 from rve.common.materials import STEEL, Material
+from rve.common.records import ByValue
 from rve.common.rings import check_rings
+from rve.common.texts import read_as
 
 SIDES = ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm")
 
@@ -63,8 +67,8 @@ def read_told(summary: dict[str, Any], source: str) -> Told:
     return read_typed(Told, {key: summary[key] for key in types_of(Told) if key in summary}, f"{source}:")
 
 
-@dataclass(frozen=True)
-class Curtain:
+@dataclass(frozen=True, eq=False)
+class Curtain(ByValue):
     """A solved curtain in its own axes, with what its summary tells; source: where it comes from.
 
     X (p, 2), x (p, d): corners before and after, mm, d = 2 in the plane and 3 in space; triangles (t, 3) of corner
@@ -118,14 +122,16 @@ def curtain_file(path: str | Path) -> Path:
     return Path(path) / "curtain.vtu" if Path(path).is_dir() else Path(path)
 
 
+@checked
 def read_curtain(path: str | Path) -> Curtain:
     """The curtain that `macro_fem run` wrote into a folder, or its VTU with summary.json beside it.
 
     InputError in one sentence for files that are none, or not of the same run.
     """
     vtu = curtain_file(path)
-    mesh, record = read_mesh_file(vtu), vtu.parent / "summary.json"
-    known = read_json_object(record)
+    record = vtu.parent / "summary.json"
+    with nullcontext() if Path(path).suffix == ".vtu" else read_as("folder of a curtain", path):
+        mesh, known = read_mesh_file(vtu), read_json_object(record)
     check_belongs(vtu, record, known, "run macro_fem again, or put the two files of one run side by side")
     if "E_11_12_22" not in mesh.cell_data:
         raise InputError(f"{vtu}: has no field E_11_12_22; is it the curtain.vtu of macro_fem run?")

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from macro_fem.output.told import components
 from macro_fem.rings.ring_scene import RingScene
 from macro_fem.solution import CurtainSolution
 from rve import Cell, FiniteSolution
-from rve.common import Array, InputError, versions
+from rve.common import Array, InputError, check_fields, versions
 from rve.common.drawing.plane import new_axes, save_figure
 from rve.common.optional import Axes
 
@@ -41,7 +41,10 @@ class EveryRing:
 
     rings: Cell | MembraneLaw | None = None
     space: bool = True
-    start: str = "slack"
+    start: Literal["slack", "disk"] = "slack"
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 def or_none(value: float | Array) -> Any:

@@ -15,7 +15,7 @@ from macro_fem.output.page import write_page
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites
 from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestPoses
-from rve.common import Array, Index, csv_text, digits, job, versions, write_text
+from rve.common import Array, Index, checked, csv_text, digits, job, versions, write_text
 from rve.common.drawing.space import THREE_QUARTERS, add, add_length, below, lines, look, new_plotter
 from rve.common.optional import Axes, Plotter
 
@@ -150,6 +150,7 @@ class RingField:
             "reference_mm": padded(sites.X),
         }
 
+    @checked
     def save(
         self,
         folder: str | Path,

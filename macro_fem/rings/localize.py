@@ -20,13 +20,14 @@ from macro_fem.output.line_load import Nearby
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites, curtain_file, read_curtain
 from macro_fem.rings.field import RECORD, RingField, WorstCell
-from rve.common import Array, Index, InputError, check_out_job, read_entry, tell
+from rve.common import Array, Index, InputError, check_out_job, checked, read_entry, tell
 from rve.common.tensor import WEIGHT, double_dot
 
 NARROW = 1e-3
 """A triangle drawn together to less than this part of its length takes its normal from its neighbours."""
 
 
+@checked
 def localize(
     curtain: Curtain | str | Path, window: tuple[float, ...] | None = None, max_rings: int = 100_000
 ) -> RingField:

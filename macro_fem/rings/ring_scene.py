@@ -15,12 +15,13 @@ from homogenize import CellInfo, MembraneLaw, cell_of, default_law, with_materia
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.discretization import discretize
+from macro_fem.rings.cost import ring_cost
 from macro_fem.scene.checks import OF_HOOKS, check_sizes, keys_set
 from macro_fem.scene.loads import PER_MM2, areal_mass, bar_masses, breeze, nodal_forces, weight_per_area, wind_per_area
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import Body
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.shapes import MeshFile, Rectangle
+from macro_fem.scene.shapes import Rectangle
 from macro_fem.scene.sites import Sliding, edge_nodes
 from macro_fem.scene.supports import build_supports, check_pins, pin_sliding
 from macro_fem.scene.tables import Bar, Wind, in_3d
@@ -31,8 +32,6 @@ from rve.common.materials import material_of
 
 SLIDES = 1e-6
 """Part of the loads up to which the force of a pin counts as none: walls push a little where nothing touches."""
-MOST_CELLS = 400_000
-"""Reference cells of a scene at most, of two rings each."""
 WHOLE, NEARLY_WHOLE = 1e-7, 0.02
 """A side of a rectangle within these parts of a cell of whole cells is left as it is, or made whole with a note."""
 EQUALLY_FAR = 1e-6
@@ -95,7 +94,7 @@ class RingScene:
 def in_material(scene: Scene, cell: Cell) -> Cell:
     """The rings of the material that the scene names, else of their own."""
     metal = material_of(dict(scene.material), f"{scene.source}: [material]", base=cell.material)
-    return replace(cell, material=metal, density=metal.density_kg_per_mm3)
+    return replace(cell, material=metal)
 
 
 def ring_scene(scene: Scene, rings: Cell | MembraneLaw | None = None, *, at_rest: bool = True) -> RingScene:
@@ -141,13 +140,8 @@ def _in_whole_cells(scene: Scene, info: CellInfo) -> tuple[Scene, tuple[str, ...
 
 def _finite_mesh(scene: Scene, info: CellInfo) -> FiniteMesh:
     curtain = scene.curtain
-    if isinstance(curtain, MeshFile):
-        scene.refuse('[curtain] shape = "file": has no outline of its own, use shape = "outline"')
+    ring_cost(scene, info)
     outline = curtain.corners(scene.mesh.cells)
-    spans = np.ptp(outline, axis=0)
-    count = float(spans.prod()) / (info.b_x_mm * info.b_y_mm)
-    if count > MOST_CELLS:
-        scene.refuse(f"[curtain]: {count:.3g} cells of the weave are more than {MOST_CELLS}; make it smaller")
     cell = cell_of_sides(info.r1_mm, info.r2_mm, (info.b_x_mm, info.b_y_mm))
     mass = 1e-6 * info.areal_mass_kg_per_m2 * info.b_x_mm * info.b_y_mm / cell.weave.classes  # of a ring
     cell = replace(cell, density=cell.density * mass / cell.ring_mass)

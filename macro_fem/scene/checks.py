@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import fields
 from itertools import pairwise
+from math import dist
 from typing import TYPE_CHECKING, Any
 
 from macro_fem.scene.moving import Ball, scaled
 from macro_fem.scene.obstacles import Body
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.sites import Hanging
-from macro_fem.scene.tables import NO_MOVE, Bar, LiveLoad, Timed, Wind, in_3d
+from macro_fem.scene.support_kinds import Edge, Track
+from macro_fem.scene.tables import NO_MOVE, Bar, LiveLoad, PatchLoad, Timed, Vector, Wind, in_3d
 from rve.common.typed import BadField
 
 if TYPE_CHECKING:
@@ -58,6 +60,10 @@ def _contradictions(scene: Scene) -> Iterator[str]:
         yield "[load.wind] speed: has no effect on a plane sheet along direction; give that a third component"
     if scene.solver.is_bounded:
         check_bounds(scene, "[solver] bounds and adapt:")
+    for kind, items in (("body", scene.of(Ball)), ("obstacle", scene.obstacle)):
+        names = [item.name for item in items]
+        for name in {name for name in names if names.count(name) > 1}:
+            yield f"[[{kind}]] name = {name!r}: is that of two, and results go by it; give each its own"
 
 
 def _over_time(scene: Scene) -> Iterator[str]:
@@ -126,7 +132,8 @@ def check_bounds(scene: Scene, by: str) -> None:
 
 
 def check_sizes(scene: Scene, r1: float | None) -> None:
-    """InputError for a curtain or pitch less than a ring of radius r1, None without rings, or a thinner body."""
+    """InputError for a curtain, pitch, track or line less than a ring of radius r1, or a smaller body or patch; r1 is
+    None without rings."""
     if r1 is None:
         return
     sizes: list[tuple[str, float]] = []
@@ -136,9 +143,15 @@ def check_sizes(scene: Scene, r1: float | None) -> None:
     sizes += [(f"{one.where} pitch", one.pitch) for one in scene.of(Hanging) if one.pitch]
     limits = [(where, value, 2.0 * r1, "diameter") for where, value in sizes]
     limits += [(f"{one.where} width", 2.0 * one.breadth, r1, "radius") for one in scene.of(Body)]
+    limits += [(f"{one.where} radius", one.radius, r1, "radius") for one in scene.of(PatchLoad)]
+    limits += [(f"{one.where} radius", one.radius, r1, "radius") for one in scene.of(Track) if one.radius]
+    lines: list[tuple[str, tuple[Vector, ...]]]
+    lines = [(f"{one.where} path", one.path) for one in scene.of(Track) if one.path]
+    lines += [(f"{one.where} along", one.along) for one in scene.of(Edge) if one.along]
+    limits += [(f"{where}: length", sum(map(dist, line, line[1:])), r1, "radius") for where, line in lines]
     for where, value, least, what in limits:
         if value < least:
-            hint = f", did you mean {1e3 * value:g}?" if 1e3 * value >= least else ""
+            hint = f", did you mean {1e3 * value:g}? ({value:g} metres)" if 1e3 * value >= least else ""
             scene.refuse(
                 f"{where} = {value:g}: is less than the {what} of a ring, {least:g} mm; lengths are in mm{hint}"
             )

@@ -40,12 +40,12 @@ HALVINGS = 60
 
 
 def areal_mass(scene: Scene, cell: CellInfo | None) -> float:
-    """Areal mass in kg/m2 of the scene, else of the law; InputError if neither knows."""
+    """Areal mass in kg/m2 of the scene, else of the law, times the factor on weight; InputError if neither knows."""
     if scene.curtain.areal_mass is not None:
-        return scene.curtain.areal_mass
+        return scene.weight * scene.curtain.areal_mass
     if cell is None:
         scene.refuse("[curtain] areal_mass: is missing, and the law has no rings to tell it")
-    return cell.areal_mass_kg_per_m2
+    return scene.weight * cell.areal_mass_kg_per_m2
 
 
 def weight_per_area(scene: Scene, cell: CellInfo | None) -> Array:
@@ -111,6 +111,10 @@ def edge_shares(mesh: CurtainMesh, disc: Discretization, name: str) -> Array:
 def patch_load(load: PatchLoad, scene: Scene, mesh: CurtainMesh, disc: Discretization) -> Array:
     """A force spread over a disk, even within each cell; InputError if the disk holds no part of the curtain."""
     shares = disk_areas(mesh.mesh.p.T[mesh.mesh.t.T], np.array(load.at), load.radius)
+    across = float(np.ptp(mesh.mesh.p, axis=1).max())
+    if load.radius > across:
+        what = f"is larger than the curtain, {across:g} mm across, were metres meant?"
+        scene.refuse(f"[load.patch] radius = {load.radius:g}: {what}")
     if shares.sum() <= 0.0:
         scene.refuse(f"[load.patch] at = {list(load.at)}, radius = {load.radius:g}: holds no cell of the curtain")
     even = np.tile(shares / disc.cell_area, disc.n_quad)

@@ -9,12 +9,12 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar
 import numpy as np
 from msgspec import Meta
 
-from macro_fem.scene.tables import Item, Length, Name, Point3, Timed
+from macro_fem.scene.tables import Item, Length, Mass, Name, Point3, Timed
 from rve.common import Typed
 
 Kind = TypeVar("Kind", bound=Timed)
-Speed = Annotated[float, Meta(ge=-1e9, le=1e9)]
-Span = Annotated[float, Meta(ge=1e-9, le=1e6)]
+Speed = Annotated[float, Meta(ge=-1e9, le=1e9, title="mm/s")]
+Span = Annotated[float, Meta(ge=1e-9, le=1e6, title="s")]
 """Seconds; inertia over much shorter ones is beyond what numbers hold."""
 
 
@@ -32,7 +32,7 @@ class Motion(Typed):
     step: Span | None = None
     accuracy: Annotated[float, Meta(ge=1e-8, le=1.0)] = 1e-3
     start: Literal["hung", "reference"] = "hung"
-    damping: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
+    damping: Annotated[float, Meta(ge=0.0, le=1e6, title="1/s")] = 0.0
     scheme: Literal["bdf2", "euler"] = "bdf2"
 
     def check(self) -> None:
@@ -51,7 +51,7 @@ class Ball(Item, kind="sphere"):
     kinds: ClassVar[dict[str, type[Any]]] = {}
     table = "body"
     radius: Length
-    mass: Annotated[float, Meta(ge=0.0, le=1e9)]
+    mass: Mass
     at: Point3
     velocity: tuple[Speed, Speed, Speed] = (0.0, 0.0, 0.0)
     name: Name = "ball"

@@ -90,7 +90,7 @@ class Floor(Obstacle, kind="floor"):
 class Wall(Obstacle, kind="wall"):
     """Everything behind the plane through `point`, which is `facing` the curtain along its normal."""
 
-    facing: Way
+    facing: tables.Direction
     point: Way = (0.0, 0.0)
     move: Way = NO_MOVE
     name: tables.Name = "wall"
@@ -123,7 +123,7 @@ class Sphere(Body, kind="sphere"):
 class Cylinder(Body, kind="cylinder"):
     """A round cylinder of `radius` about the endless line through `point` along `axis`."""
 
-    axis: Way
+    axis: tables.Direction
     radius: tables.Length
     point: tables.Point3 = (0.0, 0.0, 0.0)
     move: Way = NO_MOVE
@@ -194,8 +194,8 @@ class Start(Typed):
     """Where the flat sheet lies before it is let go: the material point X is at origin + X_1 x_axis + X_2 y_axis."""
 
     origin: tables.Point3
-    x_axis: Way = (1.0, 0.0, 0.0)
-    y_axis: Way = (0.0, 1.0, 0.0)
+    x_axis: tables.Direction = (1.0, 0.0, 0.0)
+    y_axis: tables.Direction = (0.0, 1.0, 0.0)
 
     def check(self) -> None:
         check_directions(self, "x_axis", "y_axis")

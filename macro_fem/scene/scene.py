@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -17,8 +17,9 @@ from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.shapes import Mesh, MeshFile, Outline, Shape
 from macro_fem.scene.sites import Support
 from macro_fem.scene.tables import Combination, Item, LiveLoad, Load, Solver, Vector, in_3d, leaves_plane
-from rve.common import Array, InputError, Typed, read_toml, read_typed, refuse_unknown, shown
+from rve.common import Array, InputError, Typed, check_fields, read_as, read_toml, read_typed, refuse_unknown, shown
 from rve.common.materials import described
+from rve.common.typed import not_one_of
 
 Kind = TypeVar("Kind")
 PARTS: dict[str, type[Typed]] = {"mesh": Mesh, "load": Load, "solver": Solver, "start": Start, "motion": Motion}
@@ -33,6 +34,7 @@ class Scene:
 
     `material`: of the rings, in place of the law's (`homogenize.with_material`). `source` names the scene's file, in
     whose folder relative mesh files are. `notes`: what was mended in the `drawing` that the sheet is read from.
+    `weight`: factor on the weight of the mesh, of a combination of loads.
 
     >>> from macro_fem import Bar, Hooks, Rectangle
     >>> Scene(Rectangle(3000, 2500), [Hooks(pitch=200), Bar(mass=12)]).support[0].pitch
@@ -51,17 +53,23 @@ class Scene:
     source: Path = Path("scene")
     drawing: str | None = None
     notes: tuple[str, ...] = ()
+    weight: float = 1.0
 
     def __post_init__(self) -> None:
-        """Check the material; InputError for items that are none."""
-        object.__setattr__(self, "items", tuple(self.items))
+        """Check the material; InputError for items that are none, and for fields of other classes."""
+        if not isinstance(self.items, Iterable):
+            self.refuse(f"items = {shown(self.items)}: is no list of supports, loads and obstacles")
+        object.__setattr__(self, "items", _numbered(tuple(self.items)))
         for item in self.items:
             if not isinstance(item, Item):
                 self.refuse(
                     f"{shown(item)}: is no support, load or obstacle; "
                     "mesh, load, solver, start, motion and combination are given by name"
                 )
+        if not isinstance(self.material, Mapping | tuple):
+            self.refuse(f"material = {shown(self.material)}: is no dict; give {{'material': NAME}}")
         object.__setattr__(self, "material", described(dict(self.material), f"{self.source}: [material]"))
+        check_fields(self)
 
     def refuse(self, what: str) -> NoReturn:
         """InputError that names the file of the scene."""
@@ -114,9 +122,21 @@ class Scene:
         return np.array(in_3d(v)[: self.d])
 
 
+def _numbered(items: tuple[Any, ...]) -> tuple[Any, ...]:
+    """The items with numbers in the names of bodies and obstacles that have the name of their kind beside others."""
+    unnamed = [isinstance(item, Ball | Obstacle) and item.name == type(item).name for item in items]
+    names = [item.name if is_unnamed else "" for item, is_unnamed in zip(items, unnamed, strict=True)]
+    numbers = (names[: k + 1].count(name) if name and names.count(name) > 1 else 0 for k, name in enumerate(names))
+    return tuple(
+        replace(item, name=f"{item.name} {number}") if number else item
+        for item, number in zip(items, numbers, strict=True)
+    )
+
+
 def load_scene(path: str | Path) -> Scene:
     """The scene in a TOML file; InputError names file, key and value of the first thing that is wrong."""
-    return read_scene(read_toml(path), path)
+    with read_as("scene", path):
+        return read_scene(read_toml(path), path)
 
 
 def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
@@ -125,7 +145,16 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     >>> read_scene({"curtain": {"width": 1000.0, "height": 500.0}, "support": {"kind": "top"}}).support
     (Top(gather=1.0, move=(0.0, 0.0)),)
     """
-    refuse_unknown(data, ("curtain", *LISTS, *PARTS, "material", "combination"), f"{source}:", "table")
+    tables = ("curtain", *LISTS, *PARTS, "material", "combination")
+    for name in data if isinstance(data, dict) else ():
+        if name not in tables and _home(name):
+            raise InputError(f"{source}: {shown(name)}: unknown table; {_home(name)}")
+    refuse_unknown(data, tables, f"{source}:", "table")
+    for entry in _entries(data.get("load")):
+        if "kind" in entry:
+            kind = entry["kind"]
+            told = f"write [[load.{kind}]]" if kind in [*LiveLoad.kinds] else not_one_of(kind, LiveLoad.kinds)
+            raise InputError(f"{source}: [load] kind = {shown(kind)}: {told}")
     for name in ("curtain", "load"):
         if not isinstance(data.get(name, {}), dict):
             raise InputError(f"{source}: [{name}] is not one table")
@@ -156,6 +185,19 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     return scene
 
 
+def _entries(tables: Any) -> list[dict[str, Any]]:
+    """Tables of a list that may be a single one."""
+    return [one for one in (tables if isinstance(tables, list) else [tables]) if isinstance(one, dict)]
+
+
+def _home(word: Any) -> str:
+    """How a scene names a kind, "" if none has this name."""
+    lists = [f"[[load.{word}]]" for kind in LiveLoad.kinds if kind == word]
+    lists += [f'[[{name}]] kind = "{word}"' for name, base in LISTS.items() for kind in base.kinds if kind == word]
+    lists += [f'[curtain] shape = "{word}"' for kind in Shape.kinds if kind == word]
+    return f"write {' or '.join(lists)}" if lists else ""
+
+
 def _from_dxf(curtain: dict[str, Any], source: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
     """The table of an outline in place of one that names a DXF file, and what was mended in the file."""
     file = curtain.pop("file", None)
@@ -184,7 +226,11 @@ def read_records(
             raise InputError(f"{where} = {shown(table)}: is not a table")
         kind = table.get(word)
         if not isinstance(kind, str) or kind not in kinds:
-            raise InputError(f"{where} {word} = {shown(kind)}: is not one of {', '.join(kinds)}")
+            if word not in table:
+                home = "".join(_home(key) for key in table if key in kinds)
+                raise InputError(f"{where} {word}: is missing; {home or 'it is one of ' + ', '.join(kinds)}")
+            home = f"; {_home(kind)}".rstrip("; ")
+            raise InputError(f"{where} {word} = {shown(kind)}: {not_one_of(kind, kinds)}{home}")
         rest = {key: value for key, value in table.items() if key != word}
         found.append(read_typed(kinds[kind], rest, f"{where} ({kind})" if word == "kind" else where))
     return found

@@ -7,8 +7,9 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from msgspec import Meta
 
-from macro_fem.scene.tables import Degrees, Entry, Length, Name, Polygon
+from macro_fem.scene.tables import Degrees, Entry, Length, Polygon
 from rve.common import Array, Typed, shown
+from rve.common.typed import alone
 
 WEAVE_ANGLES = {"y": 0.0, "x": 90.0}
 
@@ -20,13 +21,15 @@ class Shape(Entry):
     kinds: ClassVar[dict[str, type[Any]]] = {}
     holes: tuple[Polygon, ...] = ()
     weave_angle: Degrees = 0.0
-    areal_mass: Annotated[float, Meta(ge=0.0, le=1e6)] | None = None
+    areal_mass: Annotated[float, Meta(ge=0.0, le=100.0, title="kg/m2")] | None = None
 
     def __post_init__(self) -> None:
         """Axes of the weave become angles, then every field is checked."""
         if isinstance(self.weave_angle, str):
             if self.weave_angle not in WEAVE_ANGLES:
-                self.refuse(f"weave_angle = {shown(self.weave_angle)}: is neither 'x', 'y' nor a number of degrees")
+                what = "is neither 'x', 'y' nor a number of degrees"
+                hint = f"; {alone(self.weave_angle, 'degrees')}".rstrip("; ")
+                self.refuse(f"weave_angle = {shown(self.weave_angle)}: {what}{hint}")
             object.__setattr__(self, "weave_angle", WEAVE_ANGLES[self.weave_angle])
         super().__post_init__()
 
@@ -82,7 +85,7 @@ class Outline(Shape, kind="outline"):
 class MeshFile(Shape, kind="file"):
     """A mesh file, Gmsh's .msh or .vtu; its path begins at the folder of the scene file."""
 
-    file: Name
+    file: Annotated[str, Meta(min_length=1)]
 
     def check(self) -> None:
         if self.holes:

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Meta
 
 from macro_fem.scene import sites, tables
-from macro_fem.scene.meshing.edges import Line
+from macro_fem.scene.meshing.edges import UPRIGHT, Line
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.sites import Curve, Hanging, Held, Site, Support
 from macro_fem.scene.tables import LEAST_MM, NO_MOVE, Vector, Way, in_3d, leaves_plane
@@ -88,8 +88,9 @@ class Hooks(Hanging, kind="hooks"):
 class Edge(Support, kind="edge"):
     """A named edge held, by default in all directions, and moved by `move` mm.
 
-    `along`: two points [x, y, z] of a straight line on which the edge lies, from its left or lower end to the other,
-    such as a cable; with `sliding` the edge slides on that line, which has no end.
+    `along`: two points [x, y, z] of a straight line on which the edge lies, such as a cable, from its left or lower end
+    to the other; an edge whose left end is the upper one lies in the sense of the line. With `sliding` the edge slides
+    on that line, which has no end.
     """
 
     edge: tables.Name
@@ -131,6 +132,7 @@ class Edge(Support, kind="edge"):
         """The edge evenly between two points of a straight line in space, held or free to slide."""
         line = sites.edge_line(site.mesh, self.edge, f"{site.scene.source}: {self.where} edge")
         first, last = map(site.scene.vector, along)
+        line = _in_sense(line, last - first)
         share = line.arc / line.arc[-1]
         nodes, places = sites.placed_along(site, line.nodes, first + share[:, None] * (last - first))
         places += site.factor * site.scene.vector(self.move)
@@ -140,6 +142,17 @@ class Edge(Support, kind="edge"):
             mask[:, np.abs(e) > sites.PARALLEL] = False
         slide = e if self.sliding and sites.sloping(e) else None
         return Held(f"edge {self.edge}", nodes, mask, places, facets, slide)
+
+
+def _in_sense(line: Line, way: Array) -> Line:
+    """An edge from its left or lower end; where these are two ends, from that which turns it least towards a way (d,),
+    and if that decides nothing either from the left one, or of a steep edge the lower one."""
+    x, y = line.points[-1] - line.points[0]
+    x, y = (0.0 if abs(one) < UPRIGHT * abs(other) else one for one, other in ((x, y), (y, x)))
+    sense = x + y if x * y >= 0.0 else float(way[:2] @ (x, y))
+    if abs(sense) <= 1e-9 * abs(x * y):
+        sense = x if abs(x) >= abs(y) else y
+    return line if sense > 0.0 else Line(line.points[::-1], line.nodes[::-1])
 
 
 @dataclass(frozen=True)
@@ -252,7 +265,7 @@ class Track(Hanging, kind="track"):
             if abs(angle) > 2.0 * math.pi:
                 raise InputError(
                     f"{where} radius = {radius:g}: a track of {wanted:g} mm, which fullness = {self.fullness:g} asks "
-                    f"for, is longer than the whole circle of {2.0 * math.pi * radius:g} mm"
+                    f"for, is longer than the whole circle of {2.0 * math.pi * radius:g} mm; use a larger one of both"
                 )
             curve = Curve(radius * abs(angle), height, None, radius, angle, middle)
         if abs(wanted / curve.length - 1.0) > AGREES:

@@ -15,16 +15,18 @@ from rve.common import Typed
 LEAST_MM, MOST_MM = 1e-6, 1e9
 """Range of lengths and coordinates, in which squares and ratios stay finite."""
 
-Length = Annotated[float, Meta(ge=LEAST_MM, le=MOST_MM)]
-Coordinate = Annotated[float, Meta(ge=-MOST_MM, le=MOST_MM)]
-Force = Annotated[float, Meta(ge=-1e12, le=1e12)]
-Capacity = Annotated[float, Meta(gt=0.0, le=1e12)]
+Length = Annotated[float, Meta(ge=LEAST_MM, le=MOST_MM, title="mm")]
+Coordinate = Annotated[float, Meta(ge=-MOST_MM, le=MOST_MM, title="mm")]
+Force = Annotated[float, Meta(ge=-1e12, le=1e12, title="N")]
+LineForce = Annotated[float, Meta(ge=-1e12, le=1e12, title="N/mm")]
+Capacity = Annotated[float, Meta(gt=0.0, le=1e12, title="N")]
 Factor = Annotated[float, Meta(gt=0.0, le=1e6)]
 Share = Annotated[float, Meta(gt=0.0, le=1.0)]
-Degrees = Annotated[float, Meta(ge=-360.0, le=360.0)]
-Acceleration = Annotated[float, Meta(ge=-1e6, le=1e6)]
-Name = Annotated[str, Meta(min_length=1)]
-Time = Annotated[float, Meta(ge=0.0, le=1e6)]
+Degrees = Annotated[float, Meta(ge=-360.0, le=360.0, title="degrees")]
+Acceleration = Annotated[float, Meta(ge=-1e3, le=1e3, title="m/s2")]
+Name = Annotated[str, Meta(min_length=1, max_length=80)]
+Time = Annotated[float, Meta(ge=0.0, le=1e6, title="s")]
+Mass = Annotated[float, Meta(ge=0.0, le=1e9, title="kg")]
 History = Annotated[tuple[tuple[Time, Annotated[float, Meta(ge=-1e6, le=1e6)]], ...], Meta(max_length=10_000)]
 """Pairs of time, s, and share, for scenes in motion (`macro_fem.scene.moving`)."""
 Place = tuple[Coordinate, Coordinate]
@@ -32,6 +34,7 @@ Point3 = tuple[Coordinate, Coordinate, Coordinate]
 Vector = tuple[float, ...]
 """Two or three components."""
 Way = Annotated[tuple[Coordinate, ...], Meta(min_length=2, max_length=3)]
+Direction = Annotated[tuple[Annotated[float, Meta(ge=-MOST_MM, le=MOST_MM)], ...], Meta(min_length=2, max_length=3)]
 Forces = Annotated[tuple[Force, ...], Meta(min_length=2, max_length=3)]
 Polygon = Annotated[tuple[Place, ...], Meta(min_length=3)]
 RingsPerHook = Annotated[int, Meta(ge=1, le=1_000)]
@@ -119,7 +122,7 @@ class EdgeLoad(LiveLoad, kind="edge"):
     """Force per reference length of a named edge, N/mm."""
 
     edge: Name
-    force: Forces
+    force: Annotated[tuple[LineForce, ...], Meta(min_length=2, max_length=3)]
 
 
 @dataclass(frozen=True)
@@ -144,7 +147,7 @@ class PatchLoad(LiveLoad, kind="patch"):
 class Bar(LiveLoad, kind="bar"):
     """A bar of `mass` kg along a named edge. A straight one keeps the edge on a line whose length is free to shrink."""
 
-    mass: Annotated[float, Meta(ge=0.0, le=1e9)]
+    mass: Mass
     edge: Name = "bottom"
     straight: bool = True
 
@@ -159,10 +162,10 @@ class Wind(LiveLoad, kind="wind"):
     the speed along the normal.
     """
 
-    direction: Way
-    pressure: Annotated[float, Meta(ge=-1e9, le=1e9)] | None = None
-    speed: Annotated[float, Meta(ge=0.0, le=1e3)] | None = None
-    air_density: Annotated[float, Meta(gt=0.0, le=1e4)] | None = None
+    direction: Direction
+    pressure: Annotated[float, Meta(ge=-1e9, le=1e9, title="N/m2")] | None = None
+    speed: Annotated[float, Meta(ge=0.0, le=1e3, title="m/s")] | None = None
+    air_density: Annotated[float, Meta(gt=0.0, le=1e4, title="kg/m3")] | None = None
     follows: bool = False
 
     def check(self) -> None:

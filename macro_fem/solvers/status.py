@@ -193,7 +193,7 @@ RESTLESS = (
 )
 INFEASIBLE = (
     "the supports are farther apart than the mesh can stretch: its rings would have to give at least {excess:.3g} % "
-    "beyond locking; move the supports together or use a smaller gather"
+    "beyond locking; move the supports together or use {remedy}"
 )
 BLOCKED = (
     "the curtain cannot clear its obstacles: no state that hangs from its supports is in their half-spaces, of which "
@@ -220,15 +220,21 @@ NUMBERS = (
 
 
 def judged(
-    stop: str, evidence: Evidence, asked: Evidence, n: int, reach: Reach = FREE, relaxation: float | None = None
+    stop: str,
+    evidence: Evidence,
+    asked: Evidence,
+    n: int,
+    reach: Reach = FREE,
+    relaxation: float | None = None,
+    remedy: str = "a smaller gather",
 ) -> Verdict:
     """The status of an answer after `n` iterations.
 
     stop: why the solver stopped, "infeasible" by the supports, "blocked" by obstacles, or a key of `WHY`; relaxation:
-    by how much the law was relaxed, None where rings are elastic.
+    by how much the law was relaxed, None where rings are elastic; remedy: what helps where supports are out of reach.
     """
     if stop == "infeasible" or reach.is_out:
-        return Verdict(Status.INFEASIBLE, INFEASIBLE.format(excess=100.0 * reach.excess))
+        return Verdict(Status.INFEASIBLE, INFEASIBLE.format(excess=100.0 * reach.excess, remedy=remedy))
     if stop == "blocked":
         return Verdict(Status.INFEASIBLE, BLOCKED)
     numbers = NUMBERS.format(evidence)

@@ -1,3 +1,5 @@
+from .arguments import check_fields as check_fields
+from .arguments import checked as checked
 from .errors import SENTENCES as SENTENCES
 from .errors import InputError as InputError
 from .errors import NotConverged as NotConverged
@@ -21,6 +23,7 @@ from .progress import heard_by as heard_by
 from .progress import part_of as part_of
 from .progress import tell as tell
 from .records import Array as Array
+from .records import ByValue as ByValue
 from .records import Flags as Flags
 from .records import Index as Index
 from .records import Rows as Rows
@@ -28,6 +31,7 @@ from .texts import csv_text as csv_text
 from .texts import digits as digits
 from .texts import number_column as number_column
 from .texts import numbers_of as numbers_of
+from .texts import read_as as read_as
 from .texts import read_columns as read_columns
 from .texts import read_json_object as read_json_object
 from .texts import read_toml as read_toml

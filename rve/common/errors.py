@@ -1,5 +1,6 @@
 """What can go wrong, each with a name and a sentence that says what happened and what to try."""
 
+import re
 import reprlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,8 +8,17 @@ from importlib.util import find_spec
 from typing import Any
 
 
+def cut(text: str) -> str:
+    """A text on one line in which of every word of more than 80 letters the middle is left out; names of folders are
+    words."""
+    return re.sub(r"[^\s/\\]{81,}", lambda word: f"{word[0][:38]}...{word[0][-39:]}", " ".join(text.splitlines()))
+
+
 class InputError(ValueError):
     """Bad input; the message is one sentence that names the file, key and value."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(cut(message))
 
 
 class NotConverged(RuntimeError):

@@ -14,12 +14,12 @@ from msgspec import Meta
 
 from rve.common.errors import InputError, shown
 from rve.common.rings import STEEL_KG_PER_MM3, Density, DensityPerM3
-from rve.common.typed import Typed, read_entry, refuse_unknown, types_of
+from rve.common.typed import Typed, did_you_mean, read_entry, refuse_unknown, types_of
 
-Young = Annotated[float, Meta(ge=500.0, le=2e6)]
+Young = Annotated[float, Meta(ge=500.0, le=2e6, title="N/mm2")]
 """N/mm2: from soft plastics to diamond. Values in GPa (steel 210, tungsten 411) are below and refused."""
 Poisson = Annotated[float, Meta(ge=0.0, le=0.5)]
-Stress = Annotated[float, Meta(gt=0.0, le=2e4)]
+Stress = Annotated[float, Meta(gt=0.0, le=2e4, title="N/mm2")]
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ def named_material(name: str, where: str = "material") -> Material:
     200000.0
     """
     if str(name) not in MATERIALS:
-        known = ", ".join(MATERIALS)
-        raise InputError(f"{where} = {shown(name)}: known are {known}; or give density and young")
+        known = f"{did_you_mean(name, MATERIALS)}known are {', '.join(MATERIALS)}"
+        raise InputError(f"{where} = {shown(name)}: {known}; or give density and young")
     return MATERIALS[name]
 
 

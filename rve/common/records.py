@@ -1,6 +1,7 @@
 """Arrays, and records of arrays with one row per case: rows taken, replaced and joined."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import fields, is_dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -12,7 +13,28 @@ Index = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
 
-class Rows:
+class ByValue:
+    """Base of dataclasses, made with eq=False, that are equal where their fields are: arrays by value, nan to nan."""
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and _is_same(self, other)
+
+    def __hash__(self) -> int:
+        return hash(type(self))
+
+
+def _is_same(a: Any, b: Any) -> bool:
+    if is_dataclass(a):
+        return type(a) is type(b) and all(_is_same(vars(a)[f.name], vars(b)[f.name]) for f in fields(a))
+    if isinstance(a, np.ndarray):
+        same_kind = isinstance(b, np.ndarray) and a.shape == b.shape
+        return same_kind and bool(((a == b) | (a != a) & (b != b)).all())
+    if isinstance(a, list | tuple):
+        return type(a) is type(b) and len(a) == len(b) and all(map(_is_same, a, b))
+    return bool(a == b)
+
+
+class Rows(ByValue):
     """Base of frozen dataclasses whose arrays, and whose fields that are Rows, have the case as first axis.
 
     Other fields belong to all cases. Every method returns a new record; no array is written in place.
@@ -57,9 +79,9 @@ class Rows:
         return self._with(join)
 
     def _with(self, change: Callable[[str, Any], Any]) -> Self:
-        """A copy in which the fields with one row per case are changed."""
-        # Not by dataclasses.replace, which takes as long as the arrays of a small batch.
-        new = object.__new__(type(self))
-        for name, own in vars(self).items():
-            vars(new)[name] = change(name, own) if isinstance(own, (np.ndarray, Rows)) else own
-        return new
+        """A copy in which the fields with one row per case are changed; no cached property goes along."""
+        new: dict[str, Any] = {}
+        for item in fields(self):  # type: ignore[arg-type]
+            own = vars(self)[item.name]
+            new[item.name] = change(item.name, own) if isinstance(own, (np.ndarray, Rows)) else own
+        return type(self)(**new)

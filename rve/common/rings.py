@@ -15,11 +15,11 @@ from rve.common.typed import read_entry
 STEEL_KG_PER_MM3 = 7.85e-6
 LEAST_R1_MM, MOST_R1_MM = 0.1, 200.0
 """Radii of rings that a command takes: from jewellery to anti-submarine nets."""
-Length = Annotated[float, Meta(ge=1e-9, le=1e9)]
+Length = Annotated[float, Meta(ge=1e-9, le=1e9, title="mm")]
 """Lengths of rings in mm: their powers must stay numbers."""
-Density = Annotated[float, Meta(ge=1e-12, le=1e3)]
+Density = Annotated[float, Meta(ge=1e-12, le=1e3, title="kg/mm3")]
 """kg/mm3."""
-ArealMass = Annotated[float, Meta(gt=0.0, le=1e18)]
+ArealMass = Annotated[float, Meta(gt=0.0, le=1e18, title="kg/m2")]
 RING_TYPES: dict[str, Any] = {
     "r1_mm": Length,
     "r2_mm": Length,
@@ -28,7 +28,7 @@ RING_TYPES: dict[str, Any] = {
     "density_kg_per_mm3": Density,
     "areal_mass_kg_per_m2": ArealMass,
 }
-DensityPerM3 = Annotated[float, Meta(ge=100.0, le=30_000.0)]
+DensityPerM3 = Annotated[float, Meta(ge=100.0, le=30_000.0, title="kg/m3")]
 """Densities a user may ask for: 7.85 would be g/cm3, 7.85e-6 kg/mm3."""
 
 

@@ -9,6 +9,7 @@ import csv
 import io
 import json
 import os
+import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,7 +19,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rve.common.errors import InputError, shown
-from rve.common.files import AnyPath
+from rve.common.files import TABLE_FORMAT, UNREADABLE, AnyPath
+from rve.common.typed import alone, folded, nearest
 
 if TYPE_CHECKING:
     from rve.common.records import Array
@@ -44,11 +46,70 @@ def recorded_reads() -> Iterator[dict[str, str]]:
         _reads.reset(token)
 
 
+TAKEN = {
+    "law": "macro_fem run SCENE --law takes it, and homogenize strain, support, strength, plot and export do",
+    "strain-load table": "homogenize fit takes it and makes a law",
+    "sidecar file of a table": "give the CSV beside it",
+    "list of loads": "rve table --loads takes it",
+    "scene": "macro_fem run takes it",
+    "record of a curtain": "macro_fem localize takes its folder",
+    "folder of a curtain": "macro_fem localize takes it",
+    "mesh file": 'a scene takes it, [curtain] shape = "file"',
+    "drawing": 'a scene takes it, [curtain] shape = "dxf"',
+    "workbook": "save it as CSV with commas",
+    "record of another command": "no command takes it",
+    "folder of another command": "no command takes it",
+    "picture": "no command takes it",
+    "report": "no command takes it",
+}
+"""What a file or folder may be, and which command takes it."""
+_ENDINGS = {".vtu": "mesh file", ".msh": "mesh file", ".dxf": "drawing", ".xlsx": "workbook", ".ods": "workbook"}
+_ENDINGS |= {".png": "picture", ".svg": "picture", ".gif": "picture", ".pdf": "report"}
+
+
+@contextmanager
+def read_as(kind: str, path: AnyPath) -> Iterator[None]:
+    """A block that reads a file as one kind of `TAKEN`; an InputError then says what it is, where that is another."""
+    try:
+        yield
+    except InputError as error:
+        found = _what_is(path)
+        if found in ("", kind):
+            raise
+        raise InputError(f"{path}: is a {found}, not a {kind}; {TAKEN[found]}") from error
+
+
+def _what_is(path: AnyPath) -> str:
+    """The kind of a file or folder, "" if it is none of `TAKEN`."""
+    try:
+        place = Path(path)
+        if place.is_dir():
+            is_curtain = (place / "summary.json").exists() and (place / "curtain.vtu").exists()
+            return "folder of a curtain" if is_curtain else "folder of another command" * any(place.glob("*.json"))
+        if place.suffix.lower() in _ENDINGS:
+            return _ENDINGS[place.suffix.lower()]
+        with place.open("rb") as file:
+            text = file.read(MOST_JSON_BYTES).decode("utf-8-sig")
+        header = {folded(name) for name in re.split(r"[,;\t]", text.partition("\n")[0])}
+        if {"alphadeg", "betadeg"} <= header:
+            return "strain-load table" if "e11" in header else "list of loads"
+        record = json.loads(text) if text.lstrip()[:1] == "{" else tomllib.loads(text)
+        if record.get("format") == TABLE_FORMAT:
+            return "sidecar file of a table"
+        parts = {"law": {"kind", "parameters"}, "record of a curtain": {"status", "files", "order"}}
+        parts |= {"record of another command": {"files", "versions"}, "scene": {"curtain"}}
+        return next((kind for kind, keys in parts.items() if keys <= record.keys()), "")
+    except UNREADABLE:
+        return ""
+
+
 def read_bytes(path: AnyPath, most: int = MOST_BYTES) -> bytes:
     """The content of a file; InputError if it has more than `most` bytes or cannot be read."""
     try:
         with Path(path).open("rb") as file:
             content = file.read(most + 1)
+    except TypeError:
+        raise InputError(f"a file is read by its path, not from {shown(path):.80}") from None
     except (OSError, ValueError, MemoryError) as error:  # ValueError: a name with a null character
         raise InputError(f"{str(path)[:200]}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
     if len(content) > most:
@@ -66,8 +127,31 @@ def _parse(path: AnyPath, most: int, kind: str, parse: Callable[[str], Any]) -> 
         return parse(content.decode("utf-8-sig"))
     except (RecursionError, MemoryError) as error:
         raise InputError(f"{path}: is not {kind} that can be read: it is nested too deeply, or too large") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not {kind}: it is no text in UTF-8; save it in this encoding") from error
     except (ValueError, csv.Error) as error:
-        raise InputError(f"{path}: is not {kind}: {error}") from error
+        raise InputError(f"{path}: is not {kind}: {_toml_hint(content, str(error)) or error}") from error
+
+
+def _toml_hint(content: bytes, said: str) -> str:
+    """What is wrong in the line at which a parser of TOML stopped, "" if that is none of what users of CSV and of other
+    programs write."""
+    place = re.search(r"at line (\d+), column", said)
+    lines = content.decode("utf-8-sig").split("\n")
+    if not place or int(place[1]) > len(lines):
+        return ""
+    line = re.sub(r"\"[^\"]*\"|'[^']*'", '""', lines[int(place[1]) - 1]).partition("#")[0].strip()
+    key, sign, value = line.partition("=")
+    hint = alone(value)
+    if ";" in line:
+        hint = "has a semicolon; write commas in lists, and each key on a line of its own"
+    elif not sign and re.match(r"[\w.-]+\s*:", line):
+        hint = "write = between a key and its value"
+    elif value.strip().lower() in ("true", "false"):
+        hint = f"write {value.strip().lower()}, without capitals"
+    elif not hint and re.fullmatch(r"\s*[A-Za-z][\w.-]*", value):
+        hint = f'write {key.strip():.80} = "{value.strip():.80}", a text in quotes'
+    return f"line {place[1]}: {hint}" if hint else ""
 
 
 def read_json_object(path: AnyPath) -> dict[str, Any]:
@@ -84,21 +168,36 @@ def read_toml(path: AnyPath) -> dict[str, Any]:
     return found
 
 
-def read_columns(path: AnyPath, required: tuple[str, ...]) -> dict[str, list[str]]:
-    """Columns of a CSV file as text, by name; blank lines are skipped. InputError for a missing column, and no rows."""
+def read_columns(path: AnyPath, required: tuple[str, ...], optional: Sequence[str] = ()) -> dict[str, list[str]]:
+    """Columns of a CSV file as text, by name; blank lines are skipped. InputError for a missing column, for one that is
+    none of those `required` and `optional` but for case and blanks, and for no rows."""
     rows: list[list[str]] = _parse(
         path, MOST_CSV_BYTES, "a CSV text file", lambda text: [*filter(None, csv.reader(io.StringIO(text, newline="")))]
     )
     header = [" ".join(name.split()) for name in rows[0]] if rows else []
+    has = f"it has {', '.join(header)[:400] or 'no header line'}"
     for name in (*required, *header):
-        if header.count(name) != 1:
-            wrong = "is missing" if name not in header else "occurs twice"
-            raise InputError(f"{path}: column {name} {wrong}; it has {', '.join(header)[:400] or 'no header line'}")
+        if header.count(name) > 1:
+            raise InputError(f"{path}: column {name} occurs twice; {has}")
+        if name not in header:
+            for sign, words in ((";", "semicolons"), ("\t", "tabs")):
+                if rows and sign in "".join(rows[0]):
+                    raise InputError(f"{path}: has {words} between columns; write commas, and decimals with a point")
+            for other in nearest(name, [other for other in header if other not in required]):
+                has = f"write {name} in place of {other}"
+            raise InputError(f"{path}: column {name} is missing; {has}")
+    plain = {folded(name): name for name in optional}
+    for name in header:
+        if name not in optional and (known := plain.get(folded(name))):
+            raise InputError(f"{path}: column {name}: write {known}")
     if len(rows) < 2:
         raise InputError(f"{path}: has no rows")
     for number, row in enumerate(rows[1:], 2):
         if len(row) != len(header):
-            raise InputError(f"{path}: line {number} has {len(row)} cells, but the header has {len(header)} columns")
+            hint = "; decimals have a point, no comma" if len(row) > len(header) else ""
+            raise InputError(
+                f"{path}: line {number} has {len(row)} cells, but the header has {len(header)} columns{hint}"
+            )
     return dict(zip(header, map(list, zip(*rows[1:], strict=True)), strict=True))
 
 
@@ -117,7 +216,8 @@ def number_column(
         try:
             values[row] = float(text) if text.strip() else np.nan
         except ValueError:
-            raise InputError(f"{path}: line {row + 2}, column {name}: {shown(text)} is not a number") from None
+            hint = "".join(f"; {words}" for words in [alone(text)] if words)
+            raise InputError(f"{path}: line {row + 2}, column {name}: {shown(text)} is not a number{hint}") from None
     missing = np.isnan(values) & (np.zeros(len(texts), dtype=bool) if known is None else known)
     bad = np.flatnonzero(missing | np.isinf(values) | (np.abs(values) > most))
     if len(bad):

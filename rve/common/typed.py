@@ -1,14 +1,17 @@
 """Records whose fields msgspec checks by their types, in Python and from files; a refusal is one sentence.
 
-A type may have a range, `Annotated[float, Meta(gt=0.0, le=1e6)]`; one with two ends keeps out NaN and infinite numbers.
+A type may have a range, `Annotated[float, Meta(gt=0.0, le=1e6, title="mm")]`; one with two ends keeps out NaN and
+infinite numbers. The title is the unit.
 """
 
 import difflib
+import math
 import re
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import MISSING, fields
 from functools import cache
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -17,6 +20,28 @@ from rve.common.errors import InputError, shown
 Record = TypeVar("Record", bound="Typed")
 
 NAMES = {"float": "a number", "int": "a whole number", "str": "a text", "bool": "true or false", "array": "a list"}
+NAMES |= {"object": "a table", "dict": "a dict", "Mapping": "a dict", "Path": "a path", "PathLike": "a path"}
+NAMES |= dict.fromkeys(("list", "tuple", "Sequence", "ndarray"), "a list")
+NAMES |= dict.fromkeys(("null", "NoneType"), "nothing")
+NUMBER = re.compile(r"\s*([-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?)\s*([^\d.,\s]\S*)?\s*")
+"""A number, with a decimal point or comma, and what may stand behind it."""
+UNITS = {
+    "mm": {"m": 1e3, "cm": 10.0, "km": 1e6},
+    "N": {"kN": 1e3, "MN": 1e6, "kg": 9.81},
+    "N/mm": {"kN/m": 1.0, "N/m": 1e-3, "kN/mm": 1e3},
+    "N/m2": {"Pa": 1.0, "kPa": 1e3, "kN/m2": 1e3, "MPa": 1e6, "N/mm2": 1e6, "bar": 1e5},
+    "N/mm2": {"MPa": 1.0, "GPa": 1e3, "kN/mm2": 1e3, "Pa": 1e-6, "N/m2": 1e-6},
+    "kg": {"g": 1e-3, "t": 1e3},
+    "kg/m2": {"g/m2": 1e-3, "kg/mm2": 1e6, "g/mm2": 1e3},
+    "kg/m3": {"g/cm3": 1e3, "kg/dm3": 1e3, "kg/mm3": 1e9},
+    "kg/mm3": {"kg/m3": 1e-9, "g/cm3": 1e-6},
+    "s": {"ms": 1e-3, "min": 60.0, "h": 3600.0},
+    "m/s": {"km/h": 1.0 / 3.6, "mm/s": 1e-3},
+    "mm/s": {"m/s": 1e3},
+    "degrees": {"deg": 1.0, "\N{DEGREE SIGN}": 1.0, "rad": math.degrees(1.0)},
+    "m/s2": {"mm/s2": 1e-3, "g": 9.81},
+}
+"""What a unit of files is in others that a user may have meant, and how many of it these are."""
 
 
 class BadField(InputError):
@@ -114,29 +139,95 @@ def refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str, w
     known = list(known)
     for key, value in table.items():
         if key not in known:
-            named = f"{key} = {shown(value)}" if what == "key" else key
-            listed = f"known are {', '.join(known) or 'none'}"
-            raise InputError(f"{where} {named:.160}: unknown {what}; {_meant(key, known)}{listed}")
+            named = f"{key!s:.80} = {shown(value)}" if what == "key" else f"{key!s:.80}"
+            listed = f"{did_you_mean(key, known)}known are {', '.join(known) or 'none'}"
+            raise InputError(f"{where} {named}: unknown {what}; {listed}")
 
 
 def _plain(value: Any) -> Any:
     """Lists and numbers of Python in place of those of numpy."""
     if hasattr(value, "tolist"):
         return value.tolist()
+    if isinstance(value, float):
+        return float(value)
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
-def _meant(word: str, known: Iterable[str]) -> str:
-    return "".join(f"did you mean {near}? " for near in difflib.get_close_matches(word, known, 1))
+def not_one_of(value: Any, known: Iterable[str]) -> str:
+    """What is said of a value that is none of the words known: these, and the one probably meant.
+
+    >>> not_one_of("Hook", ["top", "hooks"])
+    'is not one of top, hooks; did you mean hooks?'
+    """
+    known = list(known)
+    return f"is not one of {', '.join(known)}; {did_you_mean(value, known)}".rstrip("; ")
+
+
+def did_you_mean(word: Any, known: Iterable[str]) -> str:
+    """A question for the word that is nearest of those known, "" if none is near.
+
+    >>> did_you_mean("e 11", ["E11", "alpha_deg"])
+    'did you mean E11? '
+    """
+    return "".join(f"did you mean {near}? " for near in nearest(word, known))
+
+
+def nearest(word: Any, known: Iterable[str]) -> list[str]:
+    """The word that is nearest of those known, whatever its case and blanks; none if none is near."""
+    words = {folded(one): one for one in known}
+    return [words[near] for near in difflib.get_close_matches(folded(word), words, 1)]
+
+
+def folded(word: Any) -> str:
+    """The first letters of a word without case, blanks and lines, by which words are compared."""
+    return re.sub(r"[\s_-]", "", str(word)[:80]).casefold()
+
+
+def alone(text: str, unit: str = "") -> str:
+    """How the number in a text is written; "" if there is none, and none that is written in another way.
+
+    >>> alone("0,5"), alone("0.5 kN", "N"), alone("5 mm")
+    ('has a decimal comma; write 0.5', 'write the number alone, in N: 500', 'write the number alone: 5')
+    """
+    found = NUMBER.fullmatch(text)
+    if not found:
+        return ""
+    number, behind = found[1].replace(",", "."), found[2] or ""
+    if not behind:
+        return f"has a decimal comma; write {number}" if "," in found[1] else ""
+    factor = 1.0 if behind == unit or not unit else UNITS.get(unit, {}).get(behind)
+    value = "" if factor is None else f": {float(number) * factor:g}"
+    return f"write the number alone{', in ' * bool(unit)}{unit}{value}"
 
 
 def _words(what: str, value: Any, kind: Any) -> str:
-    """What msgspec says, by the names of types that users know, or the words that a text may be."""
-    words = _literals(kind)
+    """What msgspec says, by the names of types that users know, or the words that a text may be; and the way out."""
+    words, numbers = _literals(kind), _numbers(kind)
     if words and what.startswith(("Invalid enum value", "Expected `str")):
-        return f"is not one of {', '.join(words)}; {_meant(str(value), words)}".rstrip("; ")
-    told = re.sub("`(.+?)`", lambda found: " or ".join(NAMES.get(one, one) for one in found[1].split(" | ")), what)
-    return told[0].lower() + told[1:]
+        return not_one_of(value, words)
+    told = re.sub(
+        "`(.+?)`",
+        lambda found: " or ".join(NAMES.get(kind, kind) for kind in found[1].removesuffix(" | null").split(" | ")),
+        what,
+    )
+    units, hint = {_unit(number) for number in numbers}, ""
+    unit = units.pop() if len(units) == 1 else ""
+    if isinstance(value, str) and re.search("`.*(float|int|array).*`, got", what):
+        hint = alone(value, unit) or "write it without quotes" * bool(NUMBER.fullmatch(value))
+    elif isinstance(value, int | float) and unit and re.search("[<>]", what):
+        told += f" {unit}"
+        hint = _in_other_unit(value, numbers[0])
+    elif isinstance(value, list) and f"length {len(value) / 2:g}, got" in what:
+        hint = "a decimal comma is written as a point"
+    return told[0].lower() + told[1:] + ("; " * bool(hint)) + hint
+
+
+def _in_other_unit(value: float, kind: Any) -> str:
+    """The number that is meant, and its unit, if it would be in the range of a type from one; else ""."""
+    for other, factor in UNITS.get(_unit(kind), {}).items():
+        with suppress(msgspec.ValidationError):
+            return f"did you mean {msgspec.convert(factor * value, kind):g}, from {other}?"
+    return ""
 
 
 def _literals(kind: Any) -> list[str]:
@@ -144,3 +235,16 @@ def _literals(kind: Any) -> list[str]:
     if get_origin(kind) is Literal:
         return list(get_args(kind))
     return [word for part in get_args(kind) for word in _literals(part)]
+
+
+def _numbers(kind: Any) -> list[Any]:
+    """The types of numbers with a range that a type is made of."""
+    parts = get_args(kind)
+    if get_origin(kind) is Annotated and parts[0] in (float, int):
+        return [kind]
+    return [number for part in parts for number in _numbers(part)]
+
+
+def _unit(number: Any) -> str:
+    """The unit of such a type, "" for none."""
+    return "".join(part.title or "" for part in get_args(number) if isinstance(part, msgspec.Meta))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import shapely
 
-from rve.common import Array, Flags, Index, InputError
+from rve.common import Array, Flags, Index, InputError, checked, shown
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.pose import start_pose
@@ -57,6 +57,7 @@ class FiniteMesh:
     bars: tuple[Index, ...] = ()
 
     @classmethod
+    @checked
     def rectangle(cls, cell: Cell, columns: int, rows: int) -> FiniteMesh:
         """A rectangle of `columns` by `rows` reference cells, its lower left corner at the origin."""
         if columns < 1 or rows < 1:
@@ -65,6 +66,7 @@ class FiniteMesh:
         return cls.inside(cell, [(0.0, 0.0), (W, 0.0), (W, H), (0.0, H)])
 
     @classmethod
+    @checked
     def inside(
         cls,
         cell: Cell,
@@ -146,7 +148,9 @@ class FiniteMesh:
 
         began, force, at = time.perf_counter(), np.asarray(force, dtype=float), np.asarray(at, dtype=float)
         near = np.full(force.shape, np.nan) if guide is None else np.asarray(guide, dtype=float)
-        options = options or FiniteOptions()
+        options = FiniteOptions() if options is None else options
+        if not isinstance(options, FiniteOptions):
+            raise InputError(f"options = {shown(options)}: expected FiniteOptions")
         problem = Problem(self, force, np.asarray(held, dtype=bool), at, space, tuple(walls), near)
         problem.check()
         task, starts = problem.task(), options.starts if space and options.disturbance else 1
@@ -160,6 +164,7 @@ class FiniteMesh:
         return replace(found, history=history, wall_s=time.perf_counter() - began)
 
 
+@checked
 def cell_of_sides(r1: float, r2: float, sides: tuple[float, float]) -> Cell:
     """The cell of rings with these radii whose reference cell has the sides b_x, b_y, all in mm: weave and grain.
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 from scipy import sparse
 
-from rve.common import Array, Index
+from rve.common import Array, Index, Typed
 from rve.finite.touching import NOWHERE, FixedPoints, Placed, Touching, find_touching, handed_on, of_pairs
 from rve.geometry.ring_pair import cross, dot, tangent_frame
 
@@ -19,6 +21,8 @@ _TIE = 0.1
 _TIED = 1e-3
 """mu below which rings are guided no more."""
 
+Share = Annotated[float, Meta(gt=0.0, le=1.0)]
+
 SENTENCES = {
     "converged": "a local minimum of the potential: forces balance, gaps and links are within tolerance",
     "out-of-reach": "held rings or walls did not reach their places: the mesh locks before; move them closer together",
@@ -28,7 +32,7 @@ SENTENCES = {
 
 
 @dataclass(frozen=True)
-class FiniteOptions:
+class FiniteOptions(Typed):
     """Options of `FiniteMesh.solve`; lengths in units of r1, forces in units of the mean force on a link.
 
     tolerance: of the Karush-Kuhn-Tucker residual. patience: iterations in which the decrement of Newton's method did
@@ -39,16 +43,20 @@ class FiniteOptions:
     form, and how many seeds, one after the other, are tried where a path of `max_iterations` does not converge.
     """
 
-    tolerance: float = 1e-8
-    patience: int = 8
-    retries: int = 20
-    reach: float = 0.6
-    max_iterations: int = 1000
-    disturbance: float = 0.01
-    seed: int = 0
-    starts: int = 2
-    first: float = 0.1
-    last: float = 1e-9
+    tolerance: Share = 1e-8
+    patience: Annotated[int, Meta(ge=1, le=1_000_000)] = 8
+    retries: Annotated[int, Meta(ge=0, le=1_000_000)] = 20
+    reach: Share = 0.6
+    max_iterations: Annotated[int, Meta(ge=1, le=1_000_000)] = 1000
+    disturbance: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.01
+    seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
+    starts: Annotated[int, Meta(ge=1, le=1000)] = 2
+    first: Share = 0.1
+    last: Share = 1e-9
+
+    def check(self) -> None:
+        if self.last > self.first:
+            self.refuse(f"last = {self.last:g}: is more than first = {self.first:g}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,15 +7,20 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from rve.common import InputError, Typed
+from rve.common import Typed, shown
 from rve.common.materials import STEEL, Material, named_material
-from rve.common.rings import STEEL_KG_PER_MM3, Density, Length, ring_volume
-from rve.geometry.weave import FOUR_IN_ONE, WEAVES, Weave, supercell
+from rve.common.rings import Density, Length, ring_volume
+from rve.geometry.weave import FOUR_IN_ONE, Weave, named_weave, supercell
 
 CellCount = Annotated[int, Meta(ge=1, le=4)]
 """Primitive cells on a side of a larger one: 4 x 4 of them have 160 coordinates."""
-UNSAID = replace(STEEL)
-"""The steel of cells that name no material: it takes any density that is asked for."""
+
+
+class OfMaterial(float):
+    """A density, kg/mm3, that is its material's: where `dataclasses.replace` names another material, it gives way."""
+
+
+OF_STEEL = OfMaterial(STEEL.density_kg_per_mm3)
 
 
 @dataclass(frozen=True)
@@ -26,8 +31,8 @@ class Cell(Typed):
     `material` and `weave` may be names. cells: primitive cells along the weave's a1 and a2 whose rings move
     independently, and centres: "plane" or "space", where the centres of rings may be; `rve.solve_table` and
     `rve.support` look for the largest work there. All else is of the primitive cell with centres in the plane.
-    `density` follows the material, or steel that is not named follows a density. InputError for values out of range,
-    for wire too thick for the weave, and for two different densities.
+    `density` is the material's; one that is given is that of steel, of which no other material is named. InputError for
+    values out of range, for wire too thick for the weave, and for a material with another density than the one given.
 
     >>> Cell(material="steel 1.4404").density, Cell(density=8e-6).material.density_kg_per_mm3
     (8e-06, 8e-06)
@@ -37,32 +42,39 @@ class Cell(Typed):
     r2: Length = 0.5
     weave: Weave = FOUR_IN_ONE  # or its name
     grain: Literal["y", "x"] = "y"
-    density: Density = STEEL_KG_PER_MM3
-    material: Material = UNSAID  # or its name, which __post_init__ replaces
+    density: Density = OF_STEEL
+    material: Material = STEEL  # or its name, which __post_init__ replaces
     cells: tuple[CellCount, CellCount] = (1, 1)
     centres: Literal["plane", "space"] = "plane"
 
     def __post_init__(self) -> None:
-        if isinstance(self.material, str):
-            object.__setattr__(self, "material", named_material(self.material))
+        given = OF_STEEL if self.density is None else self.density
+        metal = STEEL if self.material is None else self.material
+        is_named = isinstance(metal, str)
+        if not isinstance(metal, str | Material):
+            self.refuse(f"material = {shown(metal)}: is no Material, nor the name of one")
+        object.__setattr__(self, "density", given)
+        object.__setattr__(self, "material", named_material(metal) if isinstance(metal, str) else metal)
         if isinstance(self.weave, str):
-            if self.weave not in WEAVES:
-                raise InputError(f"weave = {self.weave!r}: is not one of {', '.join(WEAVES)}")
-            object.__setattr__(self, "weave", WEAVES[self.weave])
+            object.__setattr__(self, "weave", named_weave(self.weave))
         super().__post_init__()
+        if not isinstance(given, OfMaterial):
+            object.__setattr__(self, "material", self._as_dense(is_named))
+        object.__setattr__(self, "density", OfMaterial(self.material.density_kg_per_mm3))
+
+    def _as_dense(self, is_named: bool) -> Material:
+        """The material with the density that is given; InputError unless it has that one, or is steel by default."""
+        metal, theirs = self.material, self.material.density_kg_per_mm3
+        is_other = is_named or replace(metal, density_kg_per_mm3=OF_STEEL) != STEEL
+        if is_other and self.density != theirs:
+            self.refuse(f"density = {self.density:g}: {metal.name} has {theirs:g} kg/mm3; give one of the two")
+        return replace(metal, density_kg_per_mm3=self.density)
 
     def check(self) -> None:
-        """Make density and material agree; InputError where they contradict each other, or the wire is too thick."""
-        metal, theirs = self.material, self.material.density_kg_per_mm3
-        if self.density == STEEL_KG_PER_MM3:
-            object.__setattr__(self, "density", theirs)
-        elif metal is UNSAID:
-            object.__setattr__(self, "material", replace(STEEL, density_kg_per_mm3=self.density))
-        elif self.density != theirs:
-            raise InputError(f"density = {self.density:g}: {metal.name} has {theirs:g} kg/mm3; give one of the two")
+        """InputError where the wire is too thick."""
         limit = self.weave.jamming_ratio
         if not self.r1 / self.r2 > limit:
-            raise InputError(
+            self.refuse(
                 f"r2 = {self.r2}: too thick for the {self.weave.name} weave, which jams at r1/r2 = {limit:.4f}; "
                 f"here r1/r2 = {self.r1 / self.r2:.4f}"
             )

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rve.common import Array, Flags, Index
+from rve.common import Array, ByValue, Flags, Index, InputError, shown
+from rve.common.typed import not_one_of
 
 
-@dataclass(frozen=True, repr=False)
-class Weave:
+@dataclass(frozen=True, eq=False, repr=False)
+class Weave(ByValue):
     """A periodic pattern of interlinked rings.
 
     pairs (m, 4): class of ring a, class of ring b, lattice shift (i, j) of ring b; every contact that can occur, each
@@ -105,6 +106,13 @@ SIX_IN_ONE = Weave(
 )
 
 WEAVES = {w.name: w for w in (FOUR_IN_ONE, SIX_IN_ONE)}
+
+
+def named_weave(name: str) -> Weave:
+    """The weave of this name; InputError says which there are."""
+    if name not in WEAVES:
+        raise InputError(f"weave = {shown(name)}: {not_one_of(name, WEAVES)}")
+    return WEAVES[name]
 
 
 def supercell(weave: Weave, nx: int, ny: int, centres: str = "plane") -> Weave:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rve.common import Array, InputError, NotConverged
+from rve.common import Array, InputError, NotConverged, checked
 from rve.common.materials import STEEL, Material
 from rve.common.rings import Joint
 from rve.ring.kernels import flexibility, internal_forces, self_stress
@@ -40,6 +40,7 @@ class PulledRing:
     joint_deg: float | None
 
 
+@checked
 def pulled_ring(r1: float, r2: float, material: Material = STEEL, joint: str = "welded") -> PulledRing:
     """The ring of radius r1 (centre circle) and wire radius r2 in mm, pulled apart by two opposed forces in its plane.
 

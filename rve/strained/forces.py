@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common import Array, NotConverged
+from rve.common import Array, ByValue, NotConverged, checked
 from rve.common.tensor import WEIGHT
 from rve.equilibrium.interior_point import DirectOptions, LockedStates
 from rve.equilibrium.system import Equations
@@ -19,8 +19,8 @@ _CENTRING = 4
 """Steps of Newton's method from forces of three digits."""
 
 
-@dataclass(frozen=True)
-class CellForces:
+@dataclass(frozen=True, eq=False)
+class CellForces(ByValue):
     """Contacts of one locked cell: rings a and b (m, 3) as (class, i, j), point (m, 3) in mm from the centre of ring
     (0, 0, 0), normal (m, 3) from a to b, force (m,) in N that b feels along it; branch (m, 3) in mm from centre to
     centre, area in mm2, line load s (3,) in N/mm. In the frame of the rotation rule (5) of the weave."""
@@ -59,6 +59,7 @@ def central_forces(states: LockedStates) -> Array:
     return lam
 
 
+@checked
 def cell_forces(s: Array, cell: Cell) -> CellForces:
     """Contacts and their forces in the locked cell under one line load s (3,) in N/mm, in weave axes.
 
@@ -88,6 +89,7 @@ def cell_forces(s: Array, cell: Cell) -> CellForces:
     )
 
 
+@checked
 def largest_forces(s: Array, cell: Cell, step: float = 2.0) -> Array:
     """Largest contact force (n, K) in N on a ring of each class under the line loads s (n, 3) in N/mm, in weave axes.
 

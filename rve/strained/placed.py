@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rve.common import Array, Flags, Index
+from rve.common import Array, ByValue, Flags, Index, checked
 from rve.geometry.cell import Cell
 from rve.geometry.pose import Pose, start_pose
 from rve.geometry.ring_pair import are_linked, dot, local_minima
@@ -17,6 +17,7 @@ NEAR = 0.5
 """Gaps between placed rings are searched up to this many r1."""
 
 
+@checked
 def axes_of_weave(cell: Cell, hang_deg: float) -> Array:
     """Matrix (2, 2) from the weave's own axes to those of the curtain; a reflection if the grain is x."""
     angle = np.radians(hang_deg)
@@ -32,19 +33,21 @@ def shares(pose: Pose) -> Array:
     return np.asarray(np.linalg.solve(A[:, None], pose.centres[..., None])[..., 0])
 
 
+@checked
 def reference_shares(cell: Cell) -> Array:
     """Shares (K, 2) of the sides of the reference cell in the centres of its rings."""
     return np.asarray(shares(start_pose(cell.weave, 1))[0])
 
 
+@checked
 def offsets(pose: Pose, cell: Cell) -> Array:
     """How far in mm the rings of poses are from their lattice points (n, K, 2), in weave axes."""
     off = shares(pose) - reference_shares(cell)
     return np.asarray(cell.r1 * (off[..., :1] * pose.a1[:, None] + off[..., 1:] * pose.a2[:, None]))
 
 
-@dataclass(frozen=True)
-class Fit:
+@dataclass(frozen=True, eq=False)
+class Fit(ByValue):
     """How placed rings fit.
 
     gap_mm (n,): smallest gap to any neighbour, negative where they overlap, inf where none is near; links,
@@ -74,6 +77,7 @@ def neighbours(weave: Weave, index: Index) -> Iterator[tuple[int, Index, Index]]
         yield pair, first[there][second >= 0], second[second >= 0]
 
 
+@checked
 def fit_rings(index: Index, centre: Array, normal: Array, cell: Cell) -> Fit:
     """Gaps between all rings that may touch, and whether the pairs that the weave links interlink, as placed.
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common import Array, Flags, NotConverged, Rows, part_of
+from rve.common import Array, ByValue, Flags, NotConverged, Rows, checked, part_of
 from rve.common.tensor import WEIGHT, dyad, eigenvalues
 from rve.directions import product
 from rve.equilibrium.dead_load import DeadLoad
@@ -55,8 +55,8 @@ _LADDER = (
 short of, and the first and last complementarity. Stiff springs come first: with weak ones some cells lock."""
 
 
-@dataclass(frozen=True)
-class LockedArrangements:
+@dataclass(frozen=True, eq=False)
+class LockedArrangements(ByValue):
     """Locked poses of a cell, their strains E (m, 3), and the reference sides in r1 of the strain, in weave axes."""
 
     pose: Pose
@@ -75,7 +75,7 @@ class LockedArrangements:
         return np.concatenate([E, share.reshape(len(E), -1), normal.reshape(len(E), -1)], axis=1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NearestPoses(Rows):
     """Admissible poses at n strains, in weave axes.
 
@@ -92,6 +92,7 @@ class NearestPoses(Rows):
     solves: int
 
 
+@checked
 def locked_arrangements(cell: Cell) -> LockedArrangements:
     """Locked states under loads in all directions, to interpolate between; NotConverged if none is found."""
     found = locked_block(*product(_ALPHA, _BETA), replace(cell, grain="y"), DirectOptions()).found
@@ -103,6 +104,7 @@ def locked_arrangements(cell: Cell) -> LockedArrangements:
     return LockedArrangements(pose, lattice_strain(pose.lattice, sides)[0], sides)
 
 
+@checked
 def nearest_poses(E: Array, cell: Cell, states: LockedArrangements | None = None) -> NearestPoses:
     """Admissible poses of the cell nearest to the strains E (n, 3), in weave axes; `states` if they are known already.
 

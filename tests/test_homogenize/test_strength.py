@@ -57,6 +57,34 @@ def test_rows_are_exact_and_size_counts_once(strength):
     assert strength.compliance_along(7.0 * S) == pytest.approx(np.einsum("ni,ij,nj->n", S, D, S), rel=1e-9)
 
 
+def test_a_record_that_was_used_is_joined_taken_and_put_as_one_that_was_not(strength):
+    """What a record has worked out of its rows, and keeps, is of these rows alone: no other has it."""
+    n, loads = len(strength.S), np.array([[2.0, 0.3, 1.0], [1.0, 0.0, 0.1]])
+
+    def answers(rows):
+        values = rows.utilisation(loads), rows.collapse_utilisation(loads), rows.compliance_along(loads)
+        return [*values, rows.extrapolates(loads), rows.stretched.S]
+
+    def changed(half, other):
+        yield half.join([other])
+        yield half.take(np.arange(len(half.S)) % 5 > 0)
+        yield half.put(np.arange(len(other.S)), replace(other, first_yield=3.0 * other.first_yield))
+
+    def halves():
+        parts = [strength.take(np.arange(n) % 2 == k) for k in (0, 1)]
+        return replace(parts[0]), replace(parts[1])
+
+    used, fresh = halves(), halves()
+    before = answers(used[0]), answers(used[1])
+    for mine, theirs in zip(changed(*used), changed(*fresh), strict=True):
+        for value, expected in zip(answers(mine), answers(theirs), strict=True):
+            np.testing.assert_array_equal(value, expected)
+    np.testing.assert_array_equal(used[0].utilisation(loads), before[0][0])
+    whole = used[0].join([used[1]]).utilisation(loads)
+    np.testing.assert_allclose(whole, strength.utilisation(loads), rtol=1e-12)
+    assert not np.array_equal(whole, before[0][0])
+
+
 def test_between_rows_it_is_symmetric_homogeneous_and_as_wrong_as_reported(strength):
     v = np.random.default_rng(3).normal(size=(200, 2, 2))
     loads = np.einsum("nki,nkj->nij", v, v)

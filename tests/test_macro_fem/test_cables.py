@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from macro_fem.fem.discretization import discretize
 from macro_fem.rings.ring_scene import ring_scene
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import read_scene
+from macro_fem.scene.supports import build_supports
 from rve.common.errors import InputError
 from tests.test_macro_fem.sheets import solve_scene
 
@@ -106,3 +109,38 @@ def test_rings_one_by_one_do_not_slide_on_a_sloping_line(scene_tables):
     scene = read_scene({**scene_tables(width=44.0, height=25.0), "support": top})
     with pytest.raises(InputError, match=r"scene: \[support\] sliding = true: rings slide along x, y or z"):
         ring_scene(scene)
+
+
+def held_on(along, outline, edge):
+    """Places of the nodes of an edge that lies on a line, and where they are in the sheet."""
+    curtain = {"shape": "outline", "outline": outline, "areal_mass": 1.0}
+    support = {"kind": "edge", "edge": edge, "along": np.asarray(along).tolist()}
+    scene = read_scene({"curtain": curtain, "mesh": {"cells": 6}, "support": support})
+    mesh = build_mesh(scene, None)
+    disc = discretize(mesh.mesh, "P1")
+    held = build_supports(scene, mesh, disc).held[0]
+    return held.positions[:, :2], disc.nodes[held.nodes]
+
+
+@pytest.mark.parametrize("angle", [-20.0, -1e-6, 0.0, 20.0, 50.0, 83.0, 89.99, 90.0, 90.000001, 97.0, 130.0])
+def test_an_edge_on_its_own_line_stays_where_it_is(angle):
+    """From its left or lower end, and where these are two, from either."""
+    way = 80.0 * np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
+    if angle > 45.0:  # the right side of a parallelogram, else its top
+        edge, ends = "right", (np.array([200.0, 0.0]), np.array([200.0, 0.0]) + way)
+        outline = [[0.0, 0.0], ends[0], ends[1], way]
+    else:
+        edge, ends = "top", (np.array([0.0, 100.0]), np.array([0.0, 100.0]) + way)
+        outline = [[0.0, 0.0], way, ends[1], ends[0]]
+    for first, last in [ends] + ([ends[::-1]] if angle == -20.0 or angle > 91.0 else []):
+        places, X = held_on([[*first, 7.0], [*last, 7.0]], np.array(outline).tolist(), edge)
+        np.testing.assert_allclose(places, X, atol=1e-6)
+
+
+def test_an_edge_whose_lower_end_is_the_left_one_turns_as_the_line_says():
+    """A rising edge, and an upright one, on lines that lead the other way: turned by half a circle."""
+    outline = [[0, 0], [100, 0], [100, 60], [0, 50]]
+    places, X = held_on([[100, 60, 0], [0, 50, 0]], outline, "top")
+    np.testing.assert_allclose(places, [100.0, 110.0] - X, atol=1e-6)
+    places, X = held_on([[0, 50, 0], [0, 0, 0]], outline, "left")
+    np.testing.assert_allclose(places[:, 1], 50.0 - X[:, 1], atol=1e-6)

@@ -155,7 +155,12 @@ def test_balls_fall_on_a_floor_and_strike_each_other():
     other = ball | {"mass": 0.5, "at": [195.0, 0.0, 300.0], "velocity": [0.0, 0.0, 0.0]}
     free = FREE | {"obstacle": {"kind": "floor", "height": -55.0}}
     motion = {"duration": 0.2, "step": 0.01, "start": "reference", "damping": 3.0}  # of the mesh, not of balls
-    found, _ = moved(free | {"body": [ball, other], "motion": motion})
+    tables = free | {"body": [ball, other], "motion": motion}
+    assert [one.name for one in read_scene(SHEET | tables).of(macro_fem.Ball)] == [
+        "ball 1",
+        "ball 2",
+    ]  # by which results go
+    found, _ = moved(tables)
     x, v = found.frames[-1].moment.x[-2:], found.frames[-1].moment.v[-2:]
     assert x[:, 1] == pytest.approx(-5.0)  # at rest on the floor
     assert v[:, 0] == pytest.approx(1000.0 / 1.5, rel=1e-2)  # together, as tautening

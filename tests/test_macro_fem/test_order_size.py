@@ -80,7 +80,7 @@ def test_a_combination_scales_every_kind_of_load():
     items = [Corners(), EdgeLoad("bottom", (0.0, -0.1)), Wind((0.0, 0.0, 1.0), speed=10.0)]
     own = Combination("wind", edge=2.0, wind=1.5)
     scene = Scene(Rectangle(100.0, 80.0), items, mesh=Mesh(cells=4), combination=(own,))
-    found = macro_fem.job.combined(scene, own, None)
+    found = macro_fem.job.combined(scene, own)
     assert found.of(EdgeLoad)[0].force == (0.0, -0.2)
     assert found.of(Wind)[0].speed == pytest.approx(10.0 * math.sqrt(1.5))
     answer = solve(scene)

@@ -20,6 +20,51 @@ curtain.width = 1e9 -> units
 mesh.cells = 20000 -> use fewer
 curtain = {shape = "file", file = "mesh.msh"} -> cells = 4: has no effect with shape = "file"
 curtain = {shape = "square"} -> shape = 'square': is not one of rectangle, disk, outline, file, dxf
+curtain.areal_mass = 2785
+  -> [curtain] areal_mass = 2785: expected a number <= 100.0 kg/m2; did you mean 2.785, from g/m2?
+curtain.width = "3 m" -> width = '3 m': expected a number, got a text; write the number alone, in mm: 3000
+curtain.width = "1,5" -> width = '1,5': expected a number, got a text; has a decimal comma; write 1.5
+curtain.weave_angle = "45 deg" -> nor a number of degrees; write the number alone, in degrees: 45
+curtain = {shape = "Disc", radius = 50} -> did you mean disk?
+material.density = 7.85 -> density = 7.85: expected a number >= 100.0 kg/m3; did you mean 7850, from g/cm3?
+material.young = 210 -> young = 210: expected a number >= 500.0 N/mm2; did you mean 210000, from GPa?
+material.material = "Steel_1.4301" -> material = 'Steel_1.4301': did you mean steel 1.4301? known are steel,
+load = [{kind = "point", at = [0, 0], force = [0, -1]}] -> [load] kind = 'point': write [[load.point]]
+load = {kind = "winds"} -> [load] kind = 'winds': is not one of edge, point, patch, bar, wind; did you mean wind?
+wind = {pressure = 3} -> 'wind': unknown table; write [[load.wind]]
+hooks = {pitch = 50} -> 'hooks': unknown table; write [[support]] kind = "hooks"
+support = {hooks = {pitch = 50}} -> [support] kind: is missing; write [[support]] kind = "hooks"
+support = {pitch = 50} -> [support] kind: is missing; it is one of corners, top
+support = {kind = "bar"} -> is not one of corners, top, rail, hooks, edge, point, track; write [[load.bar]]
+support = {kind = "Hook", pitch = 50} -> track; did you mean hooks?
+support = {kind = "edge", edge = "Rihgt"}
+  -> 'Rihgt': the curtain has no such edge, only bottom, left, outline, right, top; did you mean right?
+support = {kind = "hooks", pitch = "20 cm"}
+  -> pitch = '20 cm': expected a number, got a text; write the number alone, in mm: 200
+support = {kind = "hooks", count = "12"} -> expected a whole number, got a text; write it without quotes
+support = {kind = "point", at = [0,5, 99,5]} -> a list of length 2, got 4; a decimal comma is written as a point
+support = {kind = "track", path = [[0, 0], [0.06, 0]]}
+  -> path: length = 0.06: is less than the radius of a ring, 5 mm; lengths are in mm, did you mean 60?
+support = {kind = "track", fullness = 0.5} -> move the supports together or use a fullness of at least 0.632
+support = {kind = "edge", edge = "top", along = [[0, 0.1], [0.1, 0.1]]} -> (edge) along: length = 0.1: is less than
+load.point = {at = [0, 0], force = "0.5 kN"} -> expected a list, got a text; write the number alone, in N: 500
+load.point = {at = [0, 0], force = [0, "-0.5 kN"]}
+  -> force[1] = '-0.5 kN': expected a number, got a text; write the number alone, in N: -500
+load.edge = {edge = "bottom", force = [0, "2 kN/m"]} -> write the number alone, in N/mm: 2
+load.wind = {direction = [0, 0, 1], pressure = "0.3 kPa"} -> write the number alone, in N/m2: 300
+load.wind = {direction = [0, 0, 1], speed = "90 km/h"} -> write the number alone, in m/s: 25
+load.gravity = 9810 -> gravity = 9810: expected a number <= 1000.0 m/s2; did you mean 9.81, from mm/s2?
+load.bar = {mass = "2 stone"} -> mass = '2 stone': expected a number, got a text; write the number alone, in kg
+load.patch = {at = [50, 50], radius = 0.02, force = [0, -1]}
+  -> radius = 0.02: is less than the radius of a ring, 5 mm; lengths are in mm, did you mean 20? (0.02 metres)
+load.patch = {at = [50, 50], radius = 101, force = [0, -1]}
+  -> [load.patch] radius = 101: is larger than the curtain, 100 mm across, were metres meant?
+obstacle = [{kind = "wall", facing = [0, 1], name = "a"}, {kind = "floor", name = "a"}] -> name = 'a': is that of two
+motion.duration = 1.0; body = [{name = "b", kind = "sphere", radius = 9, mass = 1, at = [0, 0, 99]},
+  {name = "b", kind = "sphere", radius = 9, mass = 1, at = [0, 0, 150]}] -> [[body]] name = 'b': is that of two
+motion.duration = 1.0; body = {kind = "sphere", radius = 0.05, mass = 1, at = [0, 5, 99]} -> were 0.05 m meant?
+motion.duration = 1.0; curtain.width = 3.0 -> width = 3: is less than the diameter of a ring, 10 mm
+motion.duration = "2 min" -> duration = '2 min': expected a number, got a text; write the number alone, in s: 120
 curtain.weave_angel = "y" -> did you mean weave_angle?
 solvr = {} -> solvr: unknown table
 support = {kind = "top", gather = 1.9} -> farther apart

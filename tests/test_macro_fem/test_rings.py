@@ -1,6 +1,9 @@
 """A scene ring by ring, and beside its membrane."""
 
 import json
+import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -9,6 +12,7 @@ from click.testing import CliRunner
 import macro_fem
 from macro_fem import read_scene
 from macro_fem.cli import main
+from macro_fem.rings.cost import memory_GB, ring_cost
 from macro_fem.rings.ring_scene import ring_scene
 from rve import Cell, InputError
 
@@ -155,6 +159,52 @@ def test_what_rings_cannot_do_is_refused_in_a_sentence(tables, says):
     with pytest.raises(InputError, match=says) as error:
         ring_scene(scene(**tables)).solve(space=False)
     assert "\n" not in str(error.value)
+
+
+HOLE = [[[60, 60], [160, 60], [160, 160], [60, 160]]]
+TILTED = {"shape": "outline", "outline": [[0, 0], [300, 20], [280, 260], [0, 240]], "holes": HOLE, "weave_angle": 30.0}
+
+
+@pytest.mark.parametrize("curtain", [{"shape": "disk", "radius": 150.0}, TILTED, {"width": 330.0, "height": 252.9}])
+def test_rings_are_counted_before_they_are_made(curtain):
+    """By area: of the rings of the rim, whose cells are partly outside, some are too many or too few."""
+    told = ring_scene(scene(curtain=curtain))
+    cost = ring_cost(told.scene, told.info)
+    assert cost.rings == pytest.approx(len(told.mesh.X), rel=0.06)
+    assert str(cost).startswith(f"{cost.rings:,} rings, some ")
+
+
+def test_rings_that_do_not_fit_into_memory_are_refused_before_any_is_made(tmp_path, monkeypatch):
+    monkeypatch.setattr("macro_fem.rings.cost.machine_GB", lambda: 16.0)
+    monkeypatch.setattr("rve.FiniteMesh.inside", None)
+    path = toml(tmp_path / "scene.toml", columns=484, rows=422)
+    done = CliRunner().invoke(main, ["rings", str(path), "--out", str(tmp_path / "out")])
+    assert done.exit_code == 2
+    assert done.stderr.count("\n") == 1
+    count, need = re.search(
+        r"curtain\]: ([\d,]+) rings need some (\d+) GB of memory, where there are 16", done.stderr
+    ).groups()
+    assert (int(count.replace(",", "")), float(need)) == (408_496, pytest.approx(memory_GB(408_496), rel=0.01))
+    assert not (tmp_path / "out").exists()
+    fits = int(re.search(r"of some (\d+) rings", done.stderr)[1])
+    assert 0.9 * 16.0 < memory_GB(fits) < 1.1 * 16.0
+
+
+@pytest.mark.slow
+def test_the_memory_that_is_told_is_what_rings_take():
+    """Of an interpreter of its own, in which some steps have factors as large as any."""
+    code = """if True:
+        import resource
+        from macro_fem import Corners, Mesh, Rectangle, Scene
+        from macro_fem.rings.cost import ring_cost
+        from macro_fem.rings.ring_scene import ring_scene
+        from rve import FiniteOptions
+        told = ring_scene(Scene(Rectangle(242, 278.2), [Corners()], Mesh(8)))
+        told.solve(space=True, options=FiniteOptions(max_iterations=6, starts=1))
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024e-9
+        print(ring_cost(told.scene, told.info).memory_GB / peak)"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert 0.9 < float(done.stdout) < 3.0
 
 
 @pytest.mark.parametrize("space", [False, pytest.param(True, marks=pytest.mark.slow)])

@@ -365,15 +365,15 @@ def test_supports_out_of_reach_have_no_forces_and_say_how_far_they_are():
 def test_an_impossible_tolerance_stalls_in_bounded_work_at_an_answer_that_is_good():
     mesh = FiniteMesh.rectangle(Cell(), 1, 1)
     problem = hung(mesh, top_of(mesh))
-    found = mesh.solve(*problem, space=False, options=FiniteOptions(tolerance=0.0, patience=6, retries=2))
+    found = mesh.solve(*problem, space=False, options=FiniteOptions(tolerance=1e-300, patience=6, retries=2))
     assert found.status == "stalled"
     assert found.kkt_residual < 1e-8
     assert found.iterations < 250  # two lifts, each higher than the one before
     assert found.potential == pytest.approx(mesh.solve(*problem, space=False).potential, rel=1e-6)
     early = mesh.solve(*problem, options=FiniteOptions(max_iterations=3, starts=1))
     assert (early.status, early.iterations, "allow more" in early.message) == ("iterations", 3, True)
-    for same in (FiniteOptions(max_iterations=3, disturbance=0.0), FiniteOptions(max_iterations=3, starts=0)):
-        assert mesh.solve(*problem, options=same).iterations == 3  # one start: another would be the same one
+    same = FiniteOptions(max_iterations=3, disturbance=0.0)  # another start would be the same one
+    assert mesh.solve(*problem, options=same).iterations == 3
 
 
 def random_pairs(seed, n=40):

@@ -1,7 +1,9 @@
 """Materials: named ones, values that replace theirs, one sentence for what no material has, and the way into files."""
 
 import json
+from copy import copy, deepcopy
 from dataclasses import asdict, replace
+from multiprocessing.reduction import ForkingPickler
 
 import pytest
 from click.testing import CliRunner
@@ -11,6 +13,8 @@ from rve.cli import main
 from rve.common.errors import InputError
 from rve.common.materials import material_of
 from rve.common.typed import read_typed
+
+dumps, loads = ForkingPickler.dumps, ForkingPickler.loads
 
 
 def test_named_materials_have_plausible_numbers():
@@ -46,10 +50,22 @@ def test_bad_values_are_one_sentence(given, message):
 def test_a_cell_has_one_density():
     assert Cell(material=named_material("titanium grade 2")).density == 4.51e-6
     assert Cell(density=8e-6).material == Material(density_kg_per_mm3=8e-6)
+    for material in ("titanium grade 2", named_material("titanium grade 2")):
+        with pytest.raises(InputError, match=r"titanium grade 2 has 4.51e-06 kg/mm3; give one of the two"):
+            Cell(density=7.85e-6, material=material)
+
+
+@pytest.mark.parametrize("again", [copy, deepcopy, lambda cell: loads(dumps(cell)), replace])
+def test_what_is_changed_of_a_copied_cell_is_changed_as_of_the_cell(again):
+    plain, light, titanium = (again(cell) for cell in (Cell(), Cell(density=8e-6), Cell(material="titanium grade 2")))
+    assert (plain, light, titanium) == (Cell(), Cell(density=8e-6), Cell(material="titanium grade 2"))
+    for cell in (plain, light, titanium):
+        assert replace(cell, material="copper") == Cell(material="copper")
+        assert replace(cell, material="copper").ring_mass / Cell().ring_mass == pytest.approx(8.94 / 7.85)
+    assert replace(plain, density=8e-6) == replace(Cell(density=9e-6), density=8e-6) == light
+    assert replace(titanium, density=None, material=None, weave="6-in-1") == Cell(weave="6-in-1")
     with pytest.raises(InputError, match="give one of the two"):
-        Cell(density=8e-6, material=named_material("titanium grade 2"))
-    with pytest.raises(InputError, match="give one of the two"):  # steel, as light as titanium
-        replace(Cell(material="titanium grade 2"), material="steel")
+        replace(titanium, density=8e-6)
 
 
 def test_a_cell_takes_its_weave_by_name():

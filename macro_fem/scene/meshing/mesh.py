@@ -22,7 +22,8 @@ from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.sites import Hanging
 from macro_fem.scene.tables import PatchLoad, Vector
-from rve.common import Array, InputError
+from rve.common import Array, InputError, shown
+from rve.common.typed import did_you_mean
 
 MAX_TRIANGLES = 4_000_000
 """More cells than this are refused before their arrays are made: some four million unknowns, 20 GB in a solver."""
@@ -90,7 +91,8 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
         edge = getattr(item, "edge", item.edge_needed)
         if edge is not None and edge not in mesh.edges:
             known = "; ".join([", ".join(sorted(mesh.edges)), *mesh.notes])
-            scene.refuse(f"{item.where} needs edge = {edge!r}: the curtain has no such edge, only {known}")
+            near = f"; {did_you_mean(edge, mesh.edges)}".rstrip("; ")
+            scene.refuse(f"{item.where} needs edge = {shown(edge)}: the curtain has no such edge, only {known}{near}")
     hooked = [(n, item) for n, item in enumerate(scene.support) if isinstance(item, Hanging) and item.has_hooks]
     top = paths(mesh.mesh.facets[:, mesh.edges["top"]].T, mesh.mesh.p.T) if hooked else []
     rows = {number: item.hook_places(top, f"{scene.source}: {item.where}") for number, item in hooked}

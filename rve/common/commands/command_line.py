@@ -12,6 +12,7 @@ prints sentences by `say`, the last one by `say_next`, and its record by `answer
 
 import errno
 import os
+import re
 import shlex
 import signal
 import threading
@@ -24,10 +25,12 @@ from typing import Any
 
 import click
 
-from rve.common.errors import InputError, NotConverged, require
+from rve.common.errors import InputError, NotConverged, cut, require
+from rve.common.errors import shown as quoted
 from rve.common.files import check_out_file, json_text
 from rve.common.progress import shown, tell
 from rve.common.texts import numbers_of
+from rve.common.typed import alone, did_you_mean
 
 _ANEW = "no file is left half-written, and the same command begins anew"
 """What a command says that is stopped and has nothing to go on from."""
@@ -45,6 +48,11 @@ class Command(click.Command):
     def __init__(self, name: str | None, **kwargs: Any) -> None:
         common = [click.Option([f"--{key}"], is_flag=True, help=text) for key, text in _COMMON.items()]
         super().__init__(name, params=[*(kwargs.pop("params", None) or []), *common], **kwargs)
+
+    def make_context(self, *args: Any, **kwargs: Any) -> click.Context:
+        """The context of the words of a user; a wrong one is refused in one sentence."""
+        with _refused_in_a_sentence():
+            return super().make_context(*args, **kwargs)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command on one thread of BLAS unless the user says more, as its threads wait for one another where a
@@ -76,6 +84,48 @@ class Group(click.Group):
         kwargs.setdefault("context_settings", {"help_option_names": ["-h", "--help"]})
         super().__init__(*args, **kwargs)
         click.version_option(package_name="ring-mesh")(self)
+
+    def make_context(self, *args: Any, **kwargs: Any) -> click.Context:
+        """As of a `Command`."""
+        with _refused_in_a_sentence():
+            return super().make_context(*args, **kwargs)
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        """The command that is named; one that there is not is refused in one sentence."""
+        if self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
+            raise _refusal(f"{quoted(args[0])} is no command; {did_you_mean(args[0], self.commands)}", self.commands)
+        with _refused_in_a_sentence():
+            return super().resolve_command(ctx, args)
+
+
+def _refusal(said: str, known: Iterable[str] = ()) -> click.ClickException:
+    """Ends a command with a sentence and the code of bad input."""
+    refused = click.ClickException(cut(f"{said}known are {', '.join(known)}" if known else said))
+    refused.exit_code = 2  # type: ignore[misc]
+    return refused
+
+
+@contextmanager
+def _refused_in_a_sentence() -> Iterator[None]:
+    """What click says of words that it refuses in one sentence, with the one probably meant, without usage."""
+    try:
+        yield
+    except click.exceptions.NoArgsIsHelpError:
+        raise
+    except click.UsageError as error:
+        said = " ".join(error.format_message().split()).rstrip(".").replace(". Choose from", "; choose from")
+        value, hint = re.search(r"'([^']*)' is not (?:one of|a valid)", said), ""
+        if isinstance(error, click.NoSuchOption):
+            known = [] if error.ctx is None else [name for one in error.ctx.command.params for name in one.opts]
+            said, hint = f"No such option: {error.option_name}", did_you_mean(error.option_name, known)
+        elif isinstance(error, click.BadParameter) and isinstance(error.param, click.Option) and value:
+            kind, unit = error.param.type, re.search(r"\bin ([\w/]+)\b", error.param.help or "")
+            if isinstance(kind, click.Choice):
+                hint = did_you_mean(value[1], kind.choices)
+            else:
+                hint = alone(value[1], unit[1] if unit else "")
+        said = said.replace("a valid float", "a number").replace("a valid integer", "a whole number")
+        raise _refusal(f"{said}; {hint}".rstrip("; ")) from error
 
 
 @contextmanager
