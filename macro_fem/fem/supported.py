@@ -1,7 +1,8 @@
 """A discretised curtain with its supports: positions x = x_held + T z of the free unknowns z.
 
-A held component is a number in x_held; a bar that stays straight ties its nodes to two of them through T. With no ties
-T only picks the free components, and matrices are assembled on these at once.
+A held component is a number in x_held, a free one counts from a node of the mesh, so that z is small wherever that is;
+a bar that stays straight ties its nodes to two of them through T. With no ties T only picks the free components, and
+matrices are assembled on these at once.
 """
 
 from __future__ import annotations
@@ -82,8 +83,8 @@ class SupportedFem:
         return self.x_held + self.spread(z)
 
     def gradient(self, z: Array) -> Array:
-        """F (nq, d, 2)."""
-        return gradient(self.disc, self.positions(z))
+        """F (nq, d, 2), of places that count from the first node: far from the origin digits would cancel."""
+        return gradient(self.disc, self.x_held - self.x_held[0] + self.spread(z))
 
     def gradient_change(self, dz: Array) -> Array:
         """B dz (nq, d, 2)."""

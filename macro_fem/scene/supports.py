@@ -60,7 +60,7 @@ class Supports:
 
     def fem(self, disc: Discretization) -> SupportedFem:
         """The discretisation with these supports."""
-        x_held = np.where(self.fixed, self.positions, 0.0)
+        x_held = np.where(self.fixed, self.positions, in_space_of(disc.nodes[:1], self.fixed.shape[1]))
         return SupportedFem(disc, x_held, ~self.fixed.ravel(), self.tie)
 
     def carried(self, force: Array) -> Array:

@@ -107,7 +107,8 @@ def read_bytes(path: AnyPath, most: int = MOST_BYTES) -> bytes:
     """The content of a file; InputError if it has more than `most` bytes or cannot be read."""
     try:
         with Path(path).open("rb") as file:
-            content = file.read(most + 1)
+            size = os.fstat(file.fileno()).st_size  # 0 of a pipe
+            content = file.read((min(size, most) or most) + 1)  # memory for as many bytes is taken at once
     except TypeError:
         raise InputError(f"a file is read by its path, not from {shown(path):.80}") from None
     except (OSError, ValueError, MemoryError) as error:  # ValueError: a name with a null character
