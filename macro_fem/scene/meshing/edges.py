@@ -20,7 +20,7 @@ import shapely
 from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import cross, signed_areas
-from rve.common import Array, InputError
+from rve.common import Array
 
 Chain: TypeAlias = tuple[np.ndarray, Array]
 """A part of the boundary: its facets (k,) and their mean normal (2,)."""
@@ -73,22 +73,14 @@ def inherited_edges(coarse: Any, fine: Any, edges: dict[str, np.ndarray]) -> dic
 def boundary_loops(mesh: Any) -> list[np.ndarray]:
     """The nodes (k + 1,) of each closed loop of the boundary, the first one again at the end, mesh on the left. Where
     two meet at a node each keeps to its own cells.
-
-    InputError where cells overlap, so that the boundary is not made of closed lines.
     """
-    rim, tree, loops = mesh.boundary_facets(), cKDTree(mesh.p.T), []
-    for region in shapely.get_parts(shapely.polygonize(shapely.linestrings(mesh.p.T[mesh.facets[:, rim].T]))):
+    tree, loops = cKDTree(mesh.p.T), []
+    sides = shapely.multilinestrings(mesh.p.T[mesh.facets[:, mesh.boundary_facets()].T])
+    for region in shapely.get_parts(shapely.build_area(sides)):
         for number, ring in enumerate(shapely.get_rings(region)):
             nodes = tree.query(shapely.get_coordinates(ring))[1]
             is_clockwise, is_hole = signed_areas(mesh.p[:, nodes].T) < 0.0, number > 0
-            nodes = nodes if is_clockwise == is_hole else nodes[::-1]
-            cell = mesh.f2t[0, facets_along(mesh, nodes[:2])[0]]
-            if not shapely.contains_xy(region, *mesh.p[:, mesh.t[:, cell]].mean(axis=1)):
-                break  # a hole
-            loops.append(nodes)
-    if len(lost := np.setdiff1d(rim, np.concatenate([facets_along(mesh, loop) for loop in loops]))):
-        x, y = mesh.p[:, mesh.facets[0, lost[0]]]
-        raise InputError(f"cells overlap at ({x:g}, {y:g}): the boundary there is no closed line")
+            loops.append(nodes if is_clockwise == is_hole else nodes[::-1])
     return loops
 
 

@@ -16,8 +16,9 @@ from scipy.spatial import Delaunay
 from homogenize import CellInfo
 from macro_fem.fem.cells import counterclockwise, signed_areas
 from macro_fem.scene.meshing.edges import inherited_edges, named_edges, paths
-from macro_fem.scene.meshing.mesh_files import read_mesh
+from macro_fem.scene.meshing.mesh_files import MAX_TRIANGLES
 from macro_fem.scene.meshing.nodes import with_nodes_at
+from macro_fem.scene.meshing.sheet_mesh import read_mesh
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.sites import Hanging
@@ -25,8 +26,6 @@ from macro_fem.scene.tables import PatchLoad, Vector
 from rve.common import Array, InputError, shown
 from rve.common.typed import did_you_mean
 
-MAX_TRIANGLES = 4_000_000
-"""More cells than this are refused before their arrays are made: some four million unknowns, 20 GB in a solver."""
 MAX_LATTICE = 8_000_000
 """Lattice points in the box, turned with the weave, around the outline: 0.5 GB while they are chosen from."""
 TIES = 1e-6
@@ -114,14 +113,14 @@ def _plain_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     """The mesh of the curtain's shape before nodes are added for points."""
     curtain = scene.curtain
     if isinstance(curtain, MeshFile):
-        mesh, edges = read_mesh(curtain, scene.source)
+        mesh, edges, notes = read_mesh(curtain, scene.source)
         width, height = np.ptp(mesh.p, axis=1).tolist()
         if cell is not None and min(width, height) < 2.0 * cell.r1_mm:
             scene.refuse(
                 f"[curtain] file = {curtain.file!r}: its extents of {width:g} and {height:g} mm are less than a ring, "
                 f"{2.0 * cell.r1_mm:g} mm; were metres meant? Scale the mesh by 1000"
             )
-        return CurtainMesh(mesh, "file", edges)
+        return CurtainMesh(mesh, "file", edges, notes=notes)
     aspect = 1.0 if cell is None else cell.b_y_mm / cell.b_x_mm  # slope of the diagonal families
     outline = curtain.corners(scene.mesh.cells)
     _refuse_too_many(scene, outline, aspect)
@@ -202,8 +201,10 @@ def mesh_outline(
     `aspect` whose y axis is turned by `angle` (radians). ValueError if the polygons touch, cross or leave no region,
     or are finer than the cells.
     """
-    region = _checked_region(outline, holes)
-    spacing = float(np.ptp(outline[:, 0])) / cells
+    _check_region(outline, holes)
+    middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))  # far from the origin digits cancel
+    outline, holes = outline - middle, [hole - middle for hole in holes]
+    region, spacing = shapely.Polygon(outline, holes), float(np.ptp(outline[:, 0])) / cells
     rings = shapely.segmentize([shapely.LinearRing(one) for one in (outline, *holes)], spacing * (1.0 + 1e-9))
     border = [shapely.get_coordinates(one)[:-1] for one in rings]  # corners and points no farther than `spacing` apart
     inner = _lattice(outline, spacing, aspect, angle)
@@ -212,22 +213,20 @@ def mesh_outline(
     inner = inner[shapely.contains_xy(region, inner)]
     inner = inner[~shapely.dwithin(sides, shapely.points(inner), CLEARANCE * spacing)]
     points = np.concatenate([*border, inner])
-    away = points - 0.5 * (outline.min(axis=0) + outline.max(axis=0))
-    tied = TIES * away * ((away / np.abs(away).max()) ** 2 @ [[1.0], [2.0]]) if aspect == 1.0 else 0.0
+    tied = TIES * points * ((points / np.abs(points).max()) ** 2 @ [[1.0], [2.0]]) if aspect == 1.0 else 0.0
     triangles = Delaunay(points + tied).simplices
     triangles = triangles[shapely.contains_xy(region, points[triangles].mean(axis=1))]
     triangles = counterclockwise(points, triangles)
     triangles = triangles[np.abs(signed_areas(points[triangles])) > 0.5e-6 * spacing**2]
     _check_border(triangles, [len(part) for part in border])
     used, triangles = np.unique(triangles, return_inverse=True)
-    return points[used], triangles.reshape(-1, 3)
+    return points[used] + middle, triangles.reshape(-1, 3)
 
 
 def _lattice(outline: Array, spacing: float, aspect: float, angle: float) -> Array:
-    """Corners and centres of rectangles spacing x aspect spacing, turned by `angle`, that cover the outline."""
-    centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+    """Corners and centres of rectangles spacing x aspect spacing, turned by `angle`, that cover an outline around 0."""
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-    reach = np.abs((outline - centre) @ turn).max(axis=0) + spacing * (1.0 + aspect)
+    reach = np.abs(outline @ turn).max(axis=0) + spacing * (1.0 + aspect)
     n, m = math.ceil(reach[0] / spacing), math.ceil(reach[1] / (spacing * aspect))
     if 8 * n * m > MAX_LATTICE:
         raise ValueError(
@@ -237,11 +236,11 @@ def _lattice(outline: Array, spacing: float, aspect: float, angle: float) -> Arr
     i, j = np.meshgrid(np.arange(-n, n + 1.0), np.arange(-m, m + 1.0), indexing="ij")
     corners = np.stack([i.ravel(), j.ravel()], axis=-1)
     local = np.concatenate([corners, corners + 0.5]) * spacing * np.array([1.0, aspect])
-    return centre + local @ turn.T
+    return local @ turn.T
 
 
-def _checked_region(outline: Array, holes: list[Array]) -> shapely.Polygon:
-    """What is inside of the outline and outside of the holes; ValueError for polygons that make no region."""
+def _check_region(outline: Array, holes: list[Array]) -> None:
+    """ValueError for an outline and holes that bound no region."""
     for polygon in (outline, *holes):
         if (polygon == np.roll(polygon, -1, axis=0)).all(axis=1).any():
             raise ValueError("outline and holes: have two equal corners in a row")
@@ -250,7 +249,6 @@ def _checked_region(outline: Array, holes: list[Array]) -> shapely.Polygon:
         raise ValueError(f"the outline and its holes bound no region: {shapely.is_valid_reason(region)}, mm")
     if region.area <= 1e-9 * float(np.ptp(outline, axis=0).max()) ** 2:
         raise ValueError("outline: has no area, its corners lie on a line")
-    return region
 
 
 def _check_border(triangles: np.ndarray, lengths: list[int]) -> None:
