@@ -21,16 +21,28 @@ def square(kind):
     return np.stack([x.ravel(), y.ravel(), 0.0 * x.ravel()], axis=1), cells
 
 
-def write_square(path, kind="triangle", **how):
-    """Writes it as VTU, or as binary MSH."""
+def write_square(path, kind="triangle", version="4.1", **how):
+    """Writes it by meshio; a Gmsh file in a version, binary unless told otherwise."""
     points, cells = square(kind)
     mesh = meshio.Mesh(points, [(kind, cells)])
-    if path.suffix == ".vtu":
-        meshio.vtu.write(path, mesh, **how)
+    if path.suffix != ".msh":
+        mesh.write(path, **how)
         return
-    mesh.point_data["gmsh:dim_tags"] = np.tile([2, 1], (len(points), 1))
+    if version == "4.1":
+        mesh.point_data["gmsh:dim_tags"] = np.tile([2, 1], (len(points), 1))
     mesh.cell_data |= {name: [np.ones(len(cells), int)] for name in ("gmsh:physical", "gmsh:geometrical")}
-    meshio.write(path, mesh, file_format="gmsh", binary=True)
+    meshio.gmsh.write(path, mesh, version, **how)
+
+
+def msh22(points, elements, names=()):
+    """A Gmsh 2.2 file in text from places by node number, (type, group, node numbers), and (dimension, group, name)."""
+    names = [f'{dimension} {group} "{name}"' for dimension, group, name in names]
+    nodes = [f"{number} {x} {y} 0" for number, (x, y) in points.items()]
+    rows = [f"{k} {kind} 2 {group} 1 {' '.join(map(str, own))}" for k, (kind, group, own) in enumerate(elements, 1)]
+    parts = {"MeshFormat": ["2.2 0 8"]}
+    for name, lines in {"PhysicalNames": names, "Nodes": nodes, "Elements": rows}.items():
+        parts[name] = [str(len(lines)), *lines]
+    return "".join("\n".join([f"${name}", *lines, f"$End{name}\n"]) for name, lines in parts.items())
 
 
 def mesh_of(folder):

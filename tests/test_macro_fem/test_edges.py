@@ -3,7 +3,6 @@
 import meshio
 import numpy as np
 import pytest
-import skfem
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
@@ -11,7 +10,6 @@ from scipy.spatial import cKDTree
 from homogenize.laws.net import diagonal_net
 from macro_fem.output.files import summarize
 from macro_fem.problem import make_problem
-from macro_fem.scene.meshing.edges import named_edges
 from macro_fem.scene.meshing.mesh import build_mesh, mesh_outline, refine
 from macro_fem.scene.scene import read_scene
 from rve.common.errors import InputError
@@ -223,11 +221,3 @@ def test_refined_meshes_keep_groups_holes_and_hooks(tmp_path):
     places = mesh.mesh.p[:, mesh.hooks[0].nodes]
     assert finer.mesh.p[:, finer.hooks[0].nodes] == pytest.approx(places)
     assert len(finer.hooks[0].nodes) == len(mesh.hooks[0].nodes) == round(arc(ROUND[2:]) / 11.0) + 1
-
-
-def test_cells_that_overlap_are_refused():
-    """A triangle laid across two others leaves a boundary that is no closed line."""
-    mesh = skfem.MeshTri.init_tensor(np.arange(4.0), np.arange(4.0))
-    cells = np.where((mesh.t == [[4], [8], [9]]).all(axis=0), [[1], [4], [8]], mesh.t)
-    with pytest.raises(InputError, match=r"cells overlap at \("):
-        named_edges(skfem.MeshTri(mesh.p, cells), [], {})

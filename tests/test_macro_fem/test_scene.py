@@ -157,17 +157,6 @@ BAD_HOLES = (
     ([[[40, 30], [60, 30], [60, 30], [50, 50]]], "two equal corners in a row"),
     ([[[0, 30], [60, 30], [50, 50]]], "closer to each other"),
 )
-T_SHAPE = [[0, 0], [1, 0], [0.5, 1], [0.5, 0.5], [0.5, -1]]
-HANGING = [[0, 0], [2, 0], [2, 2], [0, 2], [2, 1], [4, 1]]
-BAD_CELLS = (
-    (SQUARE, [[0, 1, 2], [0, 3, 2]], "cell 1 is inverted"),
-    (SQUARE, [[0, 1, 2], [0, 2, 3], [2, 0, 1]], "cell 0 is there 2 times"),
-    (SQUARE, [[0, 1, 2], [0, 0, 3]], "cell 1 has no area"),
-    (SQUARE, [[0, 1, 2], [0, 2, 9]], "triangle names a point"),
-    (T_SHAPE, [[0, 1, 2], [0, 1, 3], [1, 0, 4]], "3 cells share the side"),
-    (HANGING, [[0, 1, 2], [0, 2, 3], [1, 5, 4], [4, 5, 2]], r"\(2, 1\) lies"),
-    ([[0, 0], [9, 0], [2, 2], [0, 9]], [[0, 1, 2, 3]], "cell 0 is not convex"),
-)
 
 
 @pytest.mark.parametrize(("holes", "words"), BAD_HOLES)
@@ -175,13 +164,6 @@ def test_bad_outlines_are_explained(holes, words):
     outline = {"shape": "outline", "outline": [[0, 0], [100, 0], [100, 100], [0, 100]], "areal_mass": 1.0}
     with pytest.raises(InputError, match=words):
         build_mesh(read_scene(tables(curtain=outline | {"holes": holes}, mesh={"cells": 12})), None)
-
-
-@pytest.mark.parametrize(("points", "cells", "words"), BAD_CELLS)
-def test_bad_mesh_files_are_explained(tmp_path, points, cells, words):
-    scene = write_mesh(tmp_path, np.array(points, float), cells)
-    with pytest.raises(InputError, match=words):
-        build_mesh(scene, None)
 
 
 def test_a_piece_that_hangs_on_nothing_is_found(tmp_path):
