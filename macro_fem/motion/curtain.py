@@ -79,7 +79,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         return problem, self.acting[1].moved(x_held)
 
     def first_frame(self) -> MotionFrame:
-        """The curtain at rest at t = 0, hung or in its reference state, and the bodies."""
+        """The curtain at rest at t = 0, hung or in its reference state, where [start] lays it, and the bodies."""
         scene, balls = self.scene, self.balls
         problem, _ = self.at(0.0)
         if self.motion.start == "hung":
@@ -89,7 +89,8 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
                 raise NotConverged(f"{scene.source}: the curtain at rest at t = 0 is {words}")
             x, P, S, cones, forces = hung.x, hung.P, hung.S, hung.cones, hung.reactions
         else:
-            x = in_space_of(problem.disc.nodes, problem.fem.d)
+            X = problem.disc.nodes
+            x = in_space_of(X, problem.fem.d) if scene.start is None else scene.start.places(X)
             held = self.at(self.near)[0].supports  # without those that let go at t = 0
             away = np.where(held.mask, held.positions - x, 0.0)
             if np.abs(away).max(initial=0.0) > 1e-6 * self.size:
@@ -100,7 +101,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             P = np.zeros((problem.disc.n_points, problem.fem.d, 2))
             S, cones, forces = np.zeros((len(P), 3)), None, np.zeros_like(x)
         place = np.vstack([x, *[np.array([ball.at]) for ball in balls]])
-        Contacts(problem, balls).check_start(place)
+        Contacts(problem, balls).check_start(place, self.motion.start == "hung")
         masses, weights = masses_of(problem, balls), weights_of(problem, balls)
         moment, account = self.at_start(place, masses, weights, stored_energy(problem, x) or 0.0)
         return MotionFrame(moment=moment, account=account, P=P, S=S, supports=forces, problem=problem, cones=cones)
@@ -119,10 +120,10 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         if contacts.passed(now.x, fem.positions(result.z)) > GRAZED:
             words = f"in the step to {now.t + h:.6g} s a body passes the mesh: use shorter steps"
             raise Failed("pierced", words)
-        moved, touched = contacts.work(walls, result.wall_forces, now.x)
-        end = replace(end_of(problem, fem, step, result, walls), moved=moved, touched=touched)
+        pushed, moves, touched = contacts.work(walls, result.wall_forces, now.x)
+        end = replace(end_of(problem, fem, step, result, walls), pushed=pushed, moves=moves, touched=touched)
         return MotionFrame(
-            **step.finish(frame.account, end),
+            **step.finish(frame.account, end, frame.forces),
             iterations=result.iterations,
             P=result.P,
             S=result.S,
@@ -168,7 +169,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         scene = replace(problem.scene, items=tuple(kept))
         dead, wind = internal_force(problem.disc, frame.P) - frame.supports, None
         if problem.winds:
-            blown, blocks = winds_at(problem, frame.moment)
+            blown, blocks = winds_at(problem, frame.moment.v, frame.moment)
             blown -= times(blocks, frame.moment.v[:n])
             wind = (blown / load_vector(problem.disc, np.array([1.0])))[problem.disc.cell_dofs].mean(axis=1)
             dead -= load_vector(problem.disc, wind)

@@ -10,7 +10,7 @@ from typing import Any, Generic, Literal, TypeVar
 import numpy as np
 
 from macro_fem.motion.stage import let_go, scene_at
-from macro_fem.motion.step import Account, Moment, kinetic_energy, predicted
+from macro_fem.motion.step import Account, Forces, Moment, kinetic_energy, predicted
 from macro_fem.output.images import Draw
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.scene import Scene
@@ -50,8 +50,8 @@ class Failed(Exception):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Frame(ABC):
-    """What a run knows of a moment: places and velocities, the energy account, and of its step the `rebound` in N mm
-    and how many iterations it took.
+    """What a run knows of a moment: places and velocities, the energy account, and of its step the forces at its end,
+    gain and rebound in N mm (`TimeStep.finish`), and how many iterations it took.
 
     How it goes on: the next step `h`, s, and whether that is Euler's, as at the start; the moment before its own, None
     at the start; `most`, the largest kinetic energy so far, N mm.
@@ -59,6 +59,8 @@ class Frame(ABC):
 
     moment: Moment
     account: Account
+    forces: Forces | None = None
+    gain: float = 0.0
     rebound: float = 0.0
     iterations: int = 0
     h: float = 0.0
@@ -219,7 +221,7 @@ class Mover(ABC, Generic[F, A]):
             after = motion.step or h
             if motion.step is None:
                 guess = predicted(now, frame.last, h)
-                away = np.sqrt(((following.moment.x - guess) ** 2).sum(axis=1).mean()) / self.size
+                away = np.sqrt(((following.moment.x - guess.x) ** 2).sum(axis=1).mean()) / self.size
                 factor = SAFETY * (motion.accuracy / max(away, 1e-300)) ** (1.0 / 3.0)
                 if away > motion.accuracy and h > least:
                     h = max(least, h * min(0.5, max(LEAST_CHANGE, factor)))
@@ -249,7 +251,7 @@ class Mover(ABC, Generic[F, A]):
 
         In smooth motion on the locked surface the loss by locking, of order h^2, and the gain of the scheme cancel to
         h^3. An impact keeps part of its loss, and differences over it would make what locks or touches rebound, which
-        shows in a gain: Euler's step takes its place, and the next step is Euler's as well. What sets off at once while
+        shows in a gain by contacts or the law: Euler's step takes its place, and the next step is Euler's as well. What sets off at once while
         it touches or is taut closes no gap: there the loss of the scheme tells. What has met something just before, or
         in a step of Euler's, closes none either and rebounds with a loss: there its `rebound` tells. Of Euler's own
         steps, which always lose, that counts in which nearly all motion begins.
@@ -266,4 +268,4 @@ class Mover(ABC, Generic[F, A]):
         has_kink = any(before.t - self.near <= t < end.moment.t - self.near for t in kinks)
         is_jump = scheme > LEAST_IMPACT * max(most, kinetic) and has_kink
         is_back = end.rebound > LEAST_IMPACT * most
-        return is_lost or is_jump or is_back or lost < -GAIN * most
+        return is_lost or is_jump or is_back or min(end.gain, -lost) > GAIN * most
