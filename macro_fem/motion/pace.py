@@ -14,7 +14,7 @@ from macro_fem.motion.step import Account, Forces, Moment, kinetic_energy, predi
 from macro_fem.output.images import Draw
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.tables import Timed
+from macro_fem.scene.tables import LiveLoad, Timed
 from rve.common import Array, tell
 
 COLUMNS = (
@@ -51,7 +51,7 @@ class Failed(Exception):
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Frame(ABC):
     """What a run knows of a moment: places and velocities, the energy account, and of its step the forces at its end,
-    gain and rebound in N mm (`TimeStep.finish`), and how many iterations it took.
+    gain, late work and rebound in N mm (`TimeStep.finish`), and how many iterations it took.
 
     How it goes on: the next step `h`, s, and whether that is Euler's, as at the start; the moment before its own, None
     at the start; `most`, the largest kinetic energy so far, N mm.
@@ -61,6 +61,7 @@ class Frame(ABC):
     account: Account
     forces: Forces | None = None
     gain: float = 0.0
+    late: float = 0.0
     rebound: float = 0.0
     iterations: int = 0
     h: float = 0.0
@@ -251,10 +252,11 @@ class Mover(ABC, Generic[F, A]):
 
         In smooth motion on the locked surface the loss by locking, of order h^2, and the gain of the scheme cancel to
         h^3. An impact keeps part of its loss, and differences over it would make what locks or touches rebound, which
-        shows in a gain by contacts or the law: Euler's step takes its place, and the next step is Euler's as well. What sets off at once while
-        it touches or is taut closes no gap: there the loss of the scheme tells. What has met something just before, or
-        in a step of Euler's, closes none either and rebounds with a loss: there its `rebound` tells. Of Euler's own
-        steps, which always lose, that counts in which nearly all motion begins.
+        shows in a gain by contacts or the law: Euler's step takes its place, and the next step is Euler's as well. So
+        it does over kinks of histories, where loads that end throw ahead. What sets off at once while it touches or is
+        taut closes no gap: there the loss of the scheme tells. What has met something just before, or in a step of
+        Euler's, closes none either and rebounds with a loss: there its `rebound` tells. Of Euler's own steps, which
+        always lose, that counts in which nearly all motion begins.
         """
         most, kinetic = start.most, end.account.kinetic
         locking = end.account.lost_by_locking - start.account.lost_by_locking
@@ -263,9 +265,10 @@ class Mover(ABC, Generic[F, A]):
         if before is None:
             begins = max(most, start.account.kinetic) < LEAST_IMPACT * kinetic
             return begins and locking > LEAST_IMPACT * kinetic and lost > IMPACT * locking
+        since, until = before.t - self.near, end.moment.t - self.near
+        over = [item for item in self.scene.of(Timed) if any(since <= t < until for t, _ in item.history)]
         is_lost = locking > LEAST_IMPACT * most and lost > IMPACT * locking
-        kinks = (t for item in (*self.scene.support, *self.scene.obstacle) for t, _ in item.history)
-        has_kink = any(before.t - self.near <= t < end.moment.t - self.near for t in kinks)
-        is_jump = scheme > LEAST_IMPACT * max(most, kinetic) and has_kink
-        is_back = end.rebound > LEAST_IMPACT * most
-        return is_lost or is_jump or is_back or min(end.gain, -lost) > GAIN * most
+        is_jump = scheme > LEAST_IMPACT * max(most, kinetic) and not all(isinstance(one, LiveLoad) for one in over)
+        is_thrown = end.late - lost > GAIN * most and bool(over)
+        is_back = end.rebound > LEAST_IMPACT * most or min(end.gain, -lost) > GAIN * most
+        return is_lost or is_jump or is_thrown or is_back

@@ -123,7 +123,9 @@ class MovingRings(Mover[RingFrame, RingScene]):
         for wind, blown in asked.winds:
             assert wind.speed is not None  # see `ring_scene`
             own, block = relative_wind(wind, blown, now.v[:n], ahead)
-            slow = np.trace(block, axis1=1, axis2=2)  # one number for each ring: across the wind `ahead` makes up for it
+            slow = np.trace(
+                block, axis1=1, axis2=2
+            )  # one number for each ring: across the wind `ahead` makes up for it
             force += own - times(block, ahead) + slow[:, None] * ahead - (wind.speed / BREEZE) ** 2 * blown
             slows[:n] += slow
         none = np.zeros((len(mass) - n, 3))

@@ -187,7 +187,9 @@ class Contacts:
             met.append((f"[obstacle] {one.obstacle.name}: the curtain", deep))
         for words, deep in met:
             if deep > TOUCHED * self.problem.mesh.size:
-                self.problem.scene.refuse(f"{words} is {digits(deep, 4)} mm inside it at the start; put it farther away")
+                self.problem.scene.refuse(
+                    f"{words} is {digits(deep, 4)} mm inside it at the start; put it farther away"
+                )
 
     def work(self, walls: Walls, force: Array, x: Array) -> tuple[Array, Array, float]:
         """Pushes `force` (m,) of tangent half-spaces: the sum of those of each obstacle (k, 3) in N, its move (k, 3) in
@@ -202,7 +204,9 @@ class Contacts:
                 continue
             old, new = self.old[number], self.obstacles[number]
             pushed[number, : own.normal.shape[1]] = push @ own.normal
-            touched += float(push @ (old.gap(own.at @ x) - (own.offset - new.offset(own.normal))))  # less a ball's radius
+            touched += float(
+                push @ (old.gap(own.at @ x) - (own.offset - new.offset(own.normal)))
+            )  # less a ball's radius
         return pushed, moves.reshape(-1, 3), touched
 
 

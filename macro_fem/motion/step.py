@@ -190,12 +190,13 @@ class TimeStep:
         return Inertia(fem, W, x_hat, momentum, kinetic_energy(self.mass, V))
 
     def finish(self, last: Account, end: StepEnd, before: Forces | None = None) -> dict[str, Any]:
-        """Of a frame the moment, the account, the forces, the gain and the rebound, given the account and the forces at
-        the start of the step.
+        """Of a frame the moment, the account, the forces, and what its step tells of impacts, given the account and the
+        forces at its start.
 
         The gain, in N mm, is the work of contacts and a rigid law by the mean of their forces at both ends: about 0 in
         smooth motion, positive where the differences throw back what has met something. The rebound is that in one
         more such step at the last velocities: positive where what touches or is taut leaves while it is still pushed.
+        late: the work less that by forces at the end alone.
         """
         dx, v, is_rigid = end.x - self.now.x, self.velocity(end.x), end.stored is None
         kinetic, damped = kinetic_energy(self.mass, v), float((self.resist * dx * dx).sum()) / self.h
@@ -226,6 +227,7 @@ class TimeStep:
             "account": account,
             "forces": forces,
             "gain": float((mean.push * dx).sum()) - moves,
+            "late": work - late,
             "rebound": self.h * float((push * v).sum()) - moved,
         }
 
