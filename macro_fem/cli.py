@@ -138,7 +138,7 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
 @_out
 @click.option("--picture/--no-picture", default=True, help="Draw modes.png (needs matplotlib and pyvista).")
 def modes(scene: Path, law_path: Path | None, number: int, out: Path, picture: bool) -> None:
-    """Natural frequencies of the curtain of SCENE at rest; writes modes.vtu and modes.png.
+    """Natural frequencies of the curtain of SCENE at rest, with [motion] at t = 0; writes modes.vtu and modes.png.
 
     Exit code 0: found; 1: the curtain at rest has not converged; 2: bad input.
     """
@@ -146,7 +146,8 @@ def modes(scene: Path, law_path: Path | None, number: int, out: Path, picture: b
 
     found = run_modes(scene, law_path, out, number=number, picture=picture)
     hertz = ", ".join(f"{one:.4g}" for one in found["frequencies_Hz"])
-    answer(found, f"natural frequencies in Hz: {hertz}; written to {out}")
+    under = found["loads"] + ("" if found["time_s"] is None else ", as they are at t = 0 s")
+    answer(found, f"natural frequencies in Hz: {hertz}; under {under}; written to {out}")
 
 
 @main.command(

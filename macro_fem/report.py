@@ -68,7 +68,7 @@ def write_report(
     order = [mesh, *more, rings, f"mean height {summary['mean_height_mm']:.1f} mm"]
     _section(first, 0.18, "What to order, and how it hangs", _wrapped(order))
     pages, y = [first], FOOT
-    loads = "Loads, at x and y in the flat sheet, mm", [_loads(solution.problem.scene)], False
+    loads = "Loads, at x and y in the flat sheet, mm", [loads_in_words(solution.problem.scene)], False
     for head, lines, is_table in (loads, *_sections(summary, filter(None, inputs))):
         left = _wrapped(lines, is_table)
         while left:
@@ -180,7 +180,7 @@ def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
     ax.axis("off")
 
 
-def _loads(scene: Scene) -> str:
+def loads_in_words(scene: Scene) -> str:
     """The loads of a scene in words."""
     loads = ["weight"] if any(scene.load.acceleration) else []
     loads += [f"bar of {one.mass:g} kg on {one.edge}" for one in scene.of(Bar)]
