@@ -14,7 +14,7 @@ from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, Wind
 from macro_fem.solution import CurtainSolution
 from rve.common import atomic_path, checksum, digits
-from rve.common.drawing.plane import BLUE, VERMILION, new_figure
+from rve.common.drawing.plane import BLUE, VERMILION, as_typed, new_figure
 from rve.common.optional import Axes, Figure
 
 A4 = (8.27, 11.69)
@@ -86,7 +86,7 @@ def write_report(
     told = {"Title": title, "Creator": "macro_fem", "CreationDate": None}
     with atomic_path(path) as temporary, PdfPages(temporary, metadata=told) as file:
         for page in pages:
-            file.savefig(page)
+            file.savefig(as_typed(page))
 
 
 def _page(title: str) -> Figure:
