@@ -149,10 +149,14 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         return found | {"cells": disc.n_cells, "element": disc.element, "law": last.problem.law.name}
 
     def pack(self, frame: MotionFrame) -> dict[str, Any]:
-        return {name: getattr(frame, name) for name in ("P", "S", "supports", "relative_gap")}
+        cones = {} if frame.cones is None else {f"cone_{name}": one for name, one in vars(frame.cones).items()}
+        kept = {"P": frame.P, "S": frame.S, "supports": frame.supports, "relative_gap": frame.relative_gap} | cones
+        return {name: one for name, one in kept.items() if one is not None}
 
     def unpack(self, moment: Moment, account: Account, kept: dict[str, Any]) -> MotionFrame:
-        return MotionFrame(moment=moment, account=account, problem=self.at(moment.t)[0], **kept)
+        cones = {name.removeprefix("cone_"): kept.pop(name) for name in list(kept) if name.startswith("cone_")}
+        found = MotionFrame(moment=moment, account=account, problem=self.at(moment.t)[0], **kept)
+        return replace(found, cones=Cones(**cones)) if cones else found
 
     def as_solution(self, frame: MotionFrame) -> CurtainSolution:
         """The curtain at a frame, with balls as obstacles of the scene and without supports that have let go.

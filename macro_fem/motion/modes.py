@@ -31,7 +31,7 @@ from macro_fem.fem.discretization import ELEMENTS
 from macro_fem.job import solve_membrane
 from macro_fem.motion.stage import TONNE, masses_of, mesh_masses, pushed_points, scene_at
 from macro_fem.output.images import save_picture
-from macro_fem.output.pictures import Pictures
+from macro_fem.output.pictures import Pictures, draw_all
 from macro_fem.output.space_view import add_supports
 from macro_fem.report import loads_in_words
 from macro_fem.scene.supports import build_supports
@@ -253,7 +253,7 @@ def run_modes(
     """Find natural frequencies of the scene in a file, write modes.json, modes.vtu and modes.png; the summary.
 
     Line loads are those of elastic rings where rigid ones leave them open. InputError in one sentence for what cannot
-    be read or told, NotConverged where the curtain at rest is none.
+    be read or told, NotConverged where the curtain at rest is none, NotDrawn, with all else in place, for the picture.
     """
     Pictures(picture, stem="modes").check(in_space=True)
     scene, law, inputs = read_job(scene_path, law_path, out, RECORD)
@@ -272,23 +272,27 @@ def run_modes(
         "versions": versions("scikit-fem", "scikit-sparse"),
     }
     with job(out, RECORD, summary, inputs) as folder:
-        write_shapes(folder, modes, picture=picture)
+        write_shapes(folder / "modes.vtu", modes)
+    draw_all(out, RECORD, summary, {"modes.png": lambda path: draw_shapes(path, modes)} if picture else {}, inputs)
     return summary
 
 
-def write_shapes(folder: Path, modes: Modes, *, picture: bool) -> None:
-    """modes.vtu, each shape as point data `shape_1_FREQUENCY_Hz` and so on, on the curtain at rest; with `picture`
-    modes.png, the shapes side by side, each at `SHOWN` of the size of the curtain."""
+def write_shapes(path: Path, modes: Modes) -> None:
+    """Each shape as point data `shape_1_FREQUENCY_Hz` and so on, on the curtain at rest, as VTU."""
     import meshio
 
+    mesh, rest = modes.solution.problem.mesh.mesh, padded(modes.solution.corners)
+    names = [f"shape_{k}_{one:.5g}_Hz" for k, one in enumerate(modes.frequencies_Hz, 1)]
+    fields = dict(zip(names, modes.shapes[:, : len(rest)], strict=True))
+    cells = [("triangle", counterclockwise(mesh.p.T, mesh.t.T))]
+    write_mesh_file(path, meshio.Mesh(rest, cells, point_data=fields))
+
+
+def draw_shapes(path: Path, modes: Modes) -> None:
+    """The shapes side by side, each at `SHOWN` of the size of the curtain, as PNG."""
     problem, rest = modes.solution.problem, padded(modes.solution.corners)
     cells = counterclockwise(problem.mesh.mesh.p.T, problem.mesh.mesh.t.T)
-    shapes = [shape[: len(rest)] for shape in modes.shapes]
-    names = [f"shape_{k}_{one:.5g}_Hz" for k, one in enumerate(modes.frequencies_Hz, 1)]
-    fields = dict(zip(names, shapes, strict=True))
-    write_mesh_file(folder / "modes.vtu", meshio.Mesh(rest, [("triangle", cells)], point_data=fields))
-    if not picture:
-        return
+    shapes = modes.shapes[:, : len(rest)]
     plotter, scale = new_plotter(len(shapes)), Scale("displacement over the largest", 0.0, 1.0, 1.0)
     for panel, shape in enumerate(shapes):
         plotter.subplot(0, panel)
@@ -300,4 +304,4 @@ def write_shapes(folder: Path, modes: Modes, *, picture: bool) -> None:
         look(plotter, THREE_QUARTERS)
     each = zip(modes.frequencies_Hz, modes.multiplicity, strict=True)
     words = (f"{one:.3g} Hz ({count} modes)" if count > 1 else f"{one:.3g} Hz" for one, count in each)
-    save_picture(folder / "modes.png", plotter, ", ".join(words))
+    save_picture(path, plotter, ", ".join(words))

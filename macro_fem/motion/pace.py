@@ -2,7 +2,7 @@
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
@@ -166,26 +166,29 @@ class Mover(ABC, Generic[F, A]):
             self.acting = self.act(t)
         return self.acting
 
-    def solve(self, start: F | None = None) -> Run[F]:
+    def solve(self, start: F | None = None, take: Callable[[F], object] | None = None) -> Run[F]:
         """The scene over its duration, from its beginning or from a frame of a run before.
 
-        InputError for what cannot begin, NotConverged if what it begins with at rest is no answer. A step that fails
-        ends the run with a status; the frames so far are kept, as they are when Ctrl-C stops it.
+        take: is given each frame as soon as it is known, instead of the run. InputError for what cannot begin,
+        NotConverged if what it begins with at rest is no answer. A step that fails ends the run with a status; the
+        frames so far are kept, as they are when Ctrl-C stops it.
         """
-        begin, kept = time.perf_counter(), list[F]()
+        begin, kept, t = time.perf_counter(), list[F](), -1.0
+        take = kept.append if take is None else take
         status: End = "converged"
         message = "every step is solved"
         if late := [one for one in self.scene.support if (one.release or 0.0) >= self.motion.duration]:
             message += f"; {late[0].where} release = {late[0].release:g}: is not reached"
         try:
             for frame in self.frames(start):
-                kept.append(frame)
+                take(frame)
+                t = frame.moment.t
         except Failed as failed:
             status, message = failed.status, str(failed)
         except KeyboardInterrupt:
-            if not kept:
+            if t < 0.0:
                 raise
-            status, message = "stopped", f"stopped after {kept[-1].moment.t:.6g} s; the steps so far are kept"
+            status, message = "stopped", f"stopped after {t:.6g} s; the steps so far are kept"
         return Run(tuple(kept), status, message, time.perf_counter() - begin)
 
     def frames(self, start: F | None = None) -> Iterator[F]:
