@@ -30,7 +30,7 @@ from macro_fem.output.pictures import Drawings, Pictures, draw_all
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.scene.scene import Scene
 from rve.common import Array, InputError, check_belongs, check_out_file, csv_text, json_text, read_json_object
-from rve.common.files import UNREADABLE, atomic_path, checksum, job, versions, write_mesh_file, write_text
+from rve.common.files import HIDDEN, UNREADABLE, atomic_path, checksum, job, versions, write_mesh_file, write_text
 
 KEPT = "motion.npz"
 PICTURES = ("motion.png", "motion.html", "motion.gif", "motion.mp4")
@@ -142,14 +142,16 @@ class Log:
         except (OSError, ValueError) as error:
             raise InputError(f"--continue: {table} does not hold the {count} steps of {path}: {again}") from error
         self.files = before["files"]
+        for left in self.out.glob(f"{HIDDEN}*"):  # by a process that was killed
+            shutil.rmtree(left, ignore_errors=True)
         self._remove(PICTURES)  # of fewer moments
         for number in kept["shown"].tolist():
-            alone = self.out / _names(number)[1]
-            one = _part(kept, f"shown_{number}_") or self._load(alone)
-            shown = self._unpack(one)
+            alone, one = _names(number)[1], _part(kept, f"shown_{number}_")
+            if one:
+                self._save(self.out, alone, one)
+            shown = self._unpack(one or self._load(self.out / alone))
             if self._is_due(shown):
                 self.shown[number] = shown
-                self._save(alone, one)
             else:  # of a longer duration fewer are
                 self._remove(_names(number))
         self._write_table(self.out)
@@ -187,13 +189,14 @@ class Log:
         for name in (vtu, npz):
             check_out_file(folder / name, "--out", self.inputs)
         self.mover.write_vtu(folder / vtu, frame)
-        self._save(folder / npz, _packed(self.mover, frame))
+        self._save(folder, npz, _packed(self.mover, frame))
         if balls:
             x, v = (one[-len(balls) :] for one in (frame.moment.x, frame.moment.v))
             data = {"radius_mm": np.array([ball.radius for ball in balls]), "velocity_mm_per_s": v}
             points = meshio.Mesh(x, [("vertex", np.arange(len(x))[:, None])], point_data=data)
             write_mesh_file(folder / bodies, points)
-        self.files |= {name: checksum(folder / name) for name in _names(number)[: 3 if balls else 2]}
+            self.files[bodies] = checksum(folder / bodies)
+        self.files[vtu] = checksum(folder / vtu)
         self._write_series(folder)
 
     def _write_series(self, folder: Path) -> None:
@@ -223,8 +226,8 @@ class Log:
             kept |= {f"force_{name}": value for name, value in vars(last.forces).items()}
         for number, frame in shown.items():
             kept |= {f"shown_{number}_{name}": one for name, one in _packed(self.mover, frame).items()}
-        self._save(folder / KEPT, kept | _packed(self.mover, last))
-        self.files |= {KEPT: checksum(folder / KEPT), "motion.csv": self.table.hexdigest()}
+        self._save(folder, KEPT, kept | _packed(self.mover, last))
+        self.files["motion.csv"] = self.table.hexdigest()
 
     def _remove(self, names: Iterable[str]) -> None:
         """Remove those of the files that the run has written."""
@@ -235,9 +238,10 @@ class Log:
     def _write_record(self, record: dict[str, Any]) -> None:
         write_text(self.out / RECORD, json_text(record | {"files": self.files}))
 
-    def _save(self, path: Path, kept: dict[str, Any]) -> None:
-        with atomic_path(path) as temporary:
+    def _save(self, folder: Path, name: str, kept: dict[str, Any]) -> None:
+        with atomic_path(folder / name) as temporary:
             np.savez(temporary, of=self.of, **kept)
+        self.files[name] = checksum(folder / name)
 
     def _load(self, path: Path) -> dict[str, Any]:
         """The numbers of a file that `_save` has written; InputError for one of another scene or law, and damaged."""

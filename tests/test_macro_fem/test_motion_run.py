@@ -1,9 +1,13 @@
 """Scenes in motion from their files to their results, and against closed forms."""
 
 import csv
+import itertools
 import json
+from contextlib import contextmanager
 from dataclasses import replace
+from xml.etree import ElementTree
 
+import meshio
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -25,6 +29,7 @@ from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.loads import wind_pressure
 from macro_fem.scene.scene import read_scene
 from rve.common.errors import InputError
+from tests.commands import run
 from tests.test_macro_fem.sheets import fallen, solve_scene, still_air
 
 G = 9810.0
@@ -285,6 +290,51 @@ def test_a_stopped_run_keeps_its_steps_and_ends_with_130(tmp_path, monkeypatch):
     assert result.exit_code == 130
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert (summary["status"], summary["steps"]) == ("stopped", 2)
+
+
+class Killed(BaseException):
+    """Ends a run where it is, as a signal that cannot be caught does."""
+
+
+@pytest.mark.parametrize("command", ["run", pytest.param("rings", marks=pytest.mark.slow)])
+def test_a_run_that_is_killed_loses_no_step_and_goes_on_to_the_same_end(command, tmp_path, monkeypatch):
+    """Steps of their own length, released, blown at and damped; killed before the 5th file it writes, the 10th, ..."""
+    scene, count = tmp_path / "scene.toml", itertools.count(1)
+    text = LET_GO.replace("400.0", "44.0" if command == "rings" else "400.0").replace(
+        ", step = 0.01", ", damping = 1.0"
+    )
+    scene.write_text(
+        text + "load.wind = {speed = 6.0, direction = [0.0, 0.0, 1.0], history = [[0.0, 0.0], [0.02, 1.0]]}"
+    )
+    words = ["macro_fem", command, scene, "--no-picture", "--out"]
+    run(*words, tmp_path / "whole")
+    whole = np.loadtxt(tmp_path / "whole" / "motion.csv", delimiter=",", skiprows=1)
+    write, out, kills = files.atomic_path, tmp_path / "out", 0
+
+    @contextmanager
+    def killed(path):
+        if next(count) % (5 + 5 * kills) == 0:
+            raise Killed
+        with write(path) as temporary:
+            yield temporary
+
+    monkeypatch.setattr(files, "atomic_path", killed)
+    while True:
+        try:
+            run(*words, out, *(["--continue"] if kills else []))
+            break
+        except Killed:
+            kills += 1
+            rows = np.loadtxt(out / "motion.csv", delimiter=",", skiprows=1, ndmin=2)
+            assert rows == pytest.approx(whole[: len(rows)], rel=1e-9, abs=1e-9)
+            assert json.loads((out / "summary.json").read_text())["steps"] >= len(rows) - 2
+            series = [one.attrib["file"] for one in ElementTree.parse(out / "motion.pvd").iter("DataSet")]
+            assert all(len(meshio.read(out / name).points) for name in series)
+    assert kills > 5
+    ends = [json.loads((folder / "summary.json").read_text()) for folder in (tmp_path / "whole", out)]
+    assert ends[1]["files"].keys() == ends[0]["files"].keys() == {one.name for one in out.iterdir()} - {"summary.json"}
+    assert np.loadtxt(out / "motion.csv", delimiter=",", skiprows=1) == pytest.approx(whole, rel=1e-9, abs=1e-9)
+    assert ends[1]["frames"] == ends[0]["frames"]
 
 
 def test_another_scene_does_not_go_on(tmp_path):
