@@ -8,7 +8,6 @@ import hashlib
 import shutil
 import subprocess
 import zipfile
-import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, replace
 from pathlib import Path
@@ -35,7 +34,7 @@ from rve.common.files import HIDDEN, UNREADABLE, atomic_path, checksum, job, ver
 KEPT = "motion.npz"
 PICTURES = ("motion.png", "motion.html", "motion.gif", "motion.mp4")
 MOST_SHOWN, PANELS, IMAGES = 200, 4, 48
-"""Moments at most in the series of VTUs, in motion.png, and in motion.gif and motion.html."""
+"""Moments at most in the series of VTUs of a run, in motion.png, and in motion.gif and motion.html."""
 RUNNING = "running"
 """Status of a run that has not ended, or was killed."""
 IMPULSES = (
@@ -44,7 +43,7 @@ IMPULSES = (
 )
 AnyMover = Mover[Any, Any]
 FORCES = "at the ends of the steps, by the elasticity of the rings"
-BROKEN = (*UNREADABLE, EOFError, zipfile.BadZipFile, zlib.error)
+BROKEN = (*UNREADABLE, EOFError, NotImplementedError, zipfile.BadZipFile)
 """What a damaged motion.npz raises."""
 
 
@@ -82,7 +81,7 @@ class Log:
         self.rows, self.shown = list[list[float]](), dict[int, Any]()
         self.last: Any = None
         self.files: dict[str, str] = {}
-        self.period, self.due = mover.motion.duration / (MOST_SHOWN - 1), 0.0
+        self.period, self.due = mover.motion.duration / (MOST_SHOWN - 1), 0
 
     def add(self, frame: Frame) -> None:
         """Write what a frame adds; the first one replaces what `out` held before."""
@@ -149,11 +148,8 @@ class Log:
             alone, one = _names(number)[1], _part(kept, f"shown_{number}_")
             if one:
                 self._save(self.out, alone, one)
-            shown = self._unpack(one or self._load(self.out / alone))
-            if self._is_due(shown):
-                self.shown[number] = shown
-            else:  # of a longer duration fewer are
-                self._remove(_names(number))
+            self.shown[number] = self._unpack(one or self._load(self.out / alone))
+            self._is_due(self.shown[number])
         self._write_table(self.out)
         self._write_series(self.out)
         self._keep(self.out)
@@ -170,10 +166,8 @@ class Log:
 
     def _is_due(self, frame: Frame) -> bool:
         """Whether a frame belongs to the series, of at most `MOST_SHOWN` moments as even as the steps are."""
-        is_due = frame.moment.t >= self.due - self.mover.near
-        while is_due and self.due <= frame.moment.t + self.mover.near:
-            self.due += self.period
-        return is_due
+        passed, self.due = self.due, int(frame.moment.t / self.period * (1.0 + 1e-9)) + 1
+        return self.due > passed
 
     def _write_table(self, folder: Path) -> None:
         text = csv_text(COLUMNS, [row[: len(COLUMNS)] for row in self.rows])
@@ -306,7 +300,8 @@ def _drawings(out: Path, mover: AnyMover, frames: Sequence[Frame], wanted: Pictu
     def encode(path: Path) -> None:
         even = "scale=trunc(iw/2)*2:trunc(ih/2)*2,format=yuv420p"  # what every player shows
         words = (str(ffmpeg), "-v", "quiet", "-i", out / "motion.gif", "-vf", even, path)
-        subprocess.run(words, check=True)
+        if subprocess.run(words, check=False).returncode:
+            raise RuntimeError("ffmpeg failed")
 
     drawings: Drawings = {}
     if wanted.picture:

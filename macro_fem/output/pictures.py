@@ -18,6 +18,7 @@ from macro_fem.solution import CurtainSolution
 from rve.common import AnyPath, Array, InputError, NotDrawn, check_out_file, digits, job, require, tell
 from rve.common.drawing import space
 from rve.common.drawing.plane import Scale, new_axes, new_figure, save_figure
+from rve.common.files import UNREADABLE
 from rve.common.optional import Axes, Figure
 
 NO_GIF = "leave out --animation"
@@ -61,6 +62,8 @@ class Pictures:
                 check_out_file(path, f"--{name}", inputs, (ending,))
 
 
+FAILURES = (*UNREADABLE, RuntimeError, ArithmeticError, AssertionError, ImportError, MemoryError)
+"""What libraries that draw raise, in the data, the system or themselves."""
 Drawings = dict[str, Callable[[Path], object]]
 """How to make each picture of a result: a function that writes it to a path, by the name of its file."""
 
@@ -73,7 +76,7 @@ def draw_all(
 
     NotDrawn, after all others are made, for those that fail.
     """
-    failed = {}
+    failed: dict[str, Exception] = {}
     for name, draw in drawings.items():
         tell(f"drawing {name}")
         try:
@@ -82,7 +85,7 @@ def draw_all(
                 continue
             with job(folder, record_name, record, inputs, adds=True) as staged:
                 draw(staged / name)
-        except Exception as error:  # whatever libraries raise, it costs this picture alone
+        except FAILURES as error:  # cost this picture alone
             failed[name] = error
     if failed:
         raise NotDrawn(failed, record) from next(iter(failed.values()))
