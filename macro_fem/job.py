@@ -173,8 +173,7 @@ def run_scene(
     drawings = found.drawings(wanted)
     if wanted.report is not None:
         drawings[str(wanted.report.absolute())] = lambda path: found.write_report(path, inputs)
-    with noted_if_stopped(f"all but pictures and reports is in place in {out}"):
-        draw_all(out, RECORD, summary, drawings, inputs)
+    draw_all(out, RECORD, summary, drawings, inputs)
     return summary
 
 

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from macro_fem.output.forces import first_of_largest, spot_loads
+from macro_fem.output.forces import loads_in_words as _loads
 from macro_fem.output.pictures import plot_line_loads, plot_utilisation
 from macro_fem.output.told import combination_lines, components, links, order_lines, verdict
-from macro_fem.scene.scene import Scene
-from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, Wind
 from macro_fem.solution import CurtainSolution
 from rve.common import atomic_path, checksum, digits
 from rve.common.drawing.plane import BLUE, VERMILION, as_typed, new_figure
@@ -68,7 +67,7 @@ def write_report(
     order = [mesh, *more, rings, f"mean height {summary['mean_height_mm']:.1f} mm"]
     _section(first, 0.18, "What to order, and how it hangs", _wrapped(order))
     pages, y = [first], FOOT
-    loads = "Loads, at x and y in the flat sheet, mm", [loads_in_words(solution.problem.scene)], False
+    loads = "Loads, at x and y in the flat sheet, mm", [_loads(solution.problem.scene)], False
     for head, lines, is_table in (loads, *_sections(summary, filter(None, inputs))):
         left = _wrapped(lines, is_table)
         while left:
@@ -146,10 +145,6 @@ def _forces(supports: list[dict[str, Any]]) -> list[tuple[float, str, str]]:
     return rows
 
 
-def _vector(parts: Iterable[float]) -> str:
-    return f"({', '.join(f'{part:g}' for part in parts)})"
-
-
 def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
     """The flat sheet with its outline, dimensions, held points and edges, and loads at points."""
     scene, mesh = solution.problem.scene, solution.problem.mesh.mesh
@@ -178,16 +173,3 @@ def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
     ax.set_title("Flat sheet, mm", fontsize=8, loc="left")
     ax.set(xlim=(x0 - off, x1 + 2 * off), ylim=(y0 - 2 * off, y1 + 1.8 * off), aspect="equal")
     ax.axis("off")
-
-
-def loads_in_words(scene: Scene) -> str:
-    """The loads of a scene in words."""
-    loads = ["weight"] if any(scene.load.acceleration) else []
-    loads += [f"bar of {one.mass:g} kg on {one.edge}" for one in scene.of(Bar)]
-    for one in scene.of(Wind):
-        strength = f"{one.pressure:g} N/m2" if one.speed is None else f"{one.speed:g} m/s"
-        loads.append(f"wind of {strength} along {_vector(one.direction)}{' that follows the surface' * one.follows}")
-    for _, spot in spot_loads(scene):
-        spread = f" (radius {spot.radius:g} mm)" if isinstance(spot, PatchLoad) else ""
-        loads.append(f"{_vector(spot.force)} N at {_vector(spot.at)}{spread}")
-    return ", ".join([*loads, *(f"{_vector(one.force)} N/mm on {one.edge}" for one in scene.of(EdgeLoad))])

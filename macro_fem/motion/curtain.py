@@ -68,6 +68,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         self.mesh = build_mesh(scene_at(scene, 0.0), self.law.cell)
         self.what, self.size = f"{self.mesh.mesh.t.shape[1]} cells", self.mesh.size
         self.is_rigid = not scene.solver.is_elastic
+        self.told: tuple[MotionFrame, CurtainSolution] | None = None
         for ball in self.balls:
             check_breadth(scene, f"[[body]] {ball.name}", ball.radius, self.mesh.longest_side)
 
@@ -159,6 +160,12 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         return replace(found, cones=Cones(**cones)) if cones else found
 
     def as_solution(self, frame: MotionFrame) -> CurtainSolution:
+        """`_solution`, of the last frame without computing it again."""
+        if self.told is None or self.told[0] is not frame:
+            self.told = frame, self._solution(frame)
+        return self.told[1]
+
+    def _solution(self, frame: MotionFrame) -> CurtainSolution:
         """The curtain at a frame, with balls as obstacles of the scene and without supports that have let go.
 
         Its load is what line loads and supports balance: outer forces, pushes, and those of inertia. Winds with a speed

@@ -136,7 +136,7 @@ class Log:
         table, count = self.out / "motion.csv", len(kept["peaks"])
         try:
             self.rows = np.hstack(
-                [np.loadtxt(table, delimiter=",", skiprows=1, ndmin=2)[:count], kept["peaks"]]
+                [np.loadtxt(table, delimiter=",", skiprows=1, ndmin=2, max_rows=count), kept["peaks"]]
             ).tolist()
         except (OSError, ValueError) as error:
             raise InputError(f"--continue: {table} does not hold the {count} steps of {path}: {again}") from error

@@ -15,7 +15,18 @@ from macro_fem.output.images import in_turn, save_animation, save_panels
 from macro_fem.output.page import check_page, write_page
 from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution
-from rve.common import AnyPath, Array, InputError, NotDrawn, check_out_file, digits, job, require, tell
+from rve.common import (
+    AnyPath,
+    Array,
+    InputError,
+    NotDrawn,
+    check_out_file,
+    digits,
+    job,
+    noted_if_stopped,
+    require,
+    tell,
+)
 from rve.common.drawing import space
 from rve.common.drawing.plane import Scale, new_axes, new_figure, save_figure
 from rve.common.files import UNREADABLE
@@ -80,11 +91,12 @@ def draw_all(
     for name, draw in drawings.items():
         tell(f"drawing {name}")
         try:
-            if Path(name).name != name:
-                draw(Path(name))
-                continue
-            with job(folder, record_name, record, inputs, adds=True) as staged:
-                draw(staged / name)
+            with noted_if_stopped(f"all but pictures and reports is in place in {folder}"):
+                if Path(name).name != name:
+                    draw(Path(name))
+                    continue
+                with job(folder, record_name, record, inputs, adds=True) as staged:
+                    draw(staged / name)
         except FAILURES as error:  # cost this picture alone
             failed[name] = error
     if failed:
