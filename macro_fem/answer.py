@@ -7,7 +7,7 @@ from typing import Any
 
 from homogenize import MembraneLaw, default_law, load_law
 from macro_fem.output.forces import support_rows
-from macro_fem.output.pictures import Pictures
+from macro_fem.output.pictures import Drawings, Pictures, draw_all
 from macro_fem.scene.scene import Scene, load_scene
 from macro_fem.solvers.status import Status
 from rve.common import check_out_job, checked, csv_text, job, require, write_text
@@ -52,18 +52,24 @@ class Solution(ABC):
         one VTU per step and, as `animation`, curtain.gif of them, with `html` curtain.html, which turns in a browser.
         Ring by ring: rings.vtu, support_forces.csv, rings.png, with `html` rings.html.
 
-        All files appear together, and what they replace is gone. InputError where they cannot be written, or would
-        overwrite `inputs`, or if what a picture needs is missing.
+        All but pictures appear together, and what they replace is gone; pictures follow. InputError where files cannot
+        be written, or would overwrite `inputs`, or if what a picture needs is missing; NotDrawn, when all else is in
+        place, for pictures that fail.
         """
-        summary: dict[str, Any] = {}
+        drawings, summary = self.drawings(Pictures(picture, animation, html)), dict[str, Any]()
         with job(folder, RECORD, summary, inputs) as staged:
-            summary |= self._write(staged, Pictures(picture, animation, html))
+            summary |= self._write(staged)
             write_text(staged / "support_forces.csv", csv_text(*support_rows(summary["support_forces"])))
+        draw_all(folder, RECORD, summary, drawings, inputs)
         return summary
 
     @abstractmethod
-    def _write(self, staged: Path, wanted: Pictures) -> dict[str, Any]:
-        """Write what this answer alone has into a new folder; the summary. InputError for pictures without sense."""
+    def drawings(self, wanted: Pictures) -> Drawings:
+        """How to draw the wanted pictures; InputError for those without sense, and if what they need is missing."""
+
+    @abstractmethod
+    def _write(self, staged: Path) -> dict[str, Any]:
+        """Write the data that this answer alone has into a new folder; the summary."""
 
     @abstractmethod
     def plot(self, ax: Axes | None = None) -> Axes:

@@ -7,8 +7,17 @@ from typing import Any
 
 import click
 
-from rve.common import InputError, check_out_file, check_out_job, json_text, numbers_of, read_json_object, write_text
-from rve.common.commands.command_line import Group, answer, options, say, say_next
+from rve.common import (
+    InputError,
+    NotDrawn,
+    check_out_file,
+    check_out_job,
+    json_text,
+    numbers_of,
+    read_json_object,
+    write_text,
+)
+from rve.common.commands.command_line import Group, answer, end_as, made, options, say, say_next
 from rve.common.commands.sweeps import SweepItem, further_options, run_sweep, sweep_options
 
 MOST_RINGS = 90_000
@@ -60,7 +69,7 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
     """Solve SCENE and write summary.json, curtain.vtu and curtain.png; motion.csv, motion.pvd, motion.png if it moves.
 
     Exit code 0: converged; 1: files are written, and status and message say what is wrong (not converged, or taut:
-    supports at the largest stretch of the mesh); 2: bad input.
+    supports at the largest stretch of the mesh); 2: bad input; 3: only pictures or the report failed.
     """
     from macro_fem.demand.rings import ring_options
     from macro_fem.job import run_scene
@@ -73,7 +82,7 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
         if goes_on:
             raise InputError(AT_REST)
         law = law_path if asked is None else None
-        summary = run_scene(scene, law, out, on_demand=asked, **files)
+        summary, failed = made(run_scene, scene, law, out, on_demand=asked, **files)
         say(*([] if asked else default_law_lines(law_path)), *curtain_lines(summary, out, explain=explain))
     else:
         from macro_fem.motion.files import run_motion
@@ -83,20 +92,22 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
         if any([explain, files.pop("report"), files.pop("dxf")]):
             raise InputError("--explain, --report and --dxf: are for a curtain at rest, not for a scene with [motion]")
         say(*default_law_lines(law_path))
-        summary = run_motion(scene, law_path, out, goes_on=goes_on, **files)
+        summary, failed = made(run_motion, scene, law_path, out, goes_on=goes_on, **files)
         say(*motion_lines(summary, out))
-    _answer_or_go_on(summary, "run", scene, *(("--law", law_path) if law_path else ()), "--out", out)
+    _answer_or_go_on(summary, failed, "run", scene, *(("--law", law_path) if law_path else ()), "--out", out)
     _say_next_of_curtain(out, summary)
 
 
-def _answer_or_go_on(summary: dict[str, Any], command: str, *words: Any) -> None:
-    """Print the summary; exit unless it has converged, of a run that was stopped with the command that goes on."""
+def _answer_or_go_on(summary: dict[str, Any], failed: NotDrawn | None, command: str, *words: Any) -> None:
+    """Print the summary; exit unless it has converged, of a run that was stopped with the command that goes on, and if
+    pictures failed."""
     answer(summary)
     if summary["status"] == "stopped":
         say_next("macro_fem", command, *words, "--continue", why="go on from there")
         raise click.exceptions.Exit(130)
     if summary["status"] != "converged":
         raise click.exceptions.Exit(1)
+    end_as(failed)
 
 
 @main.command(epilog="Example: macro_fem size scene.toml --law law.json --vary pitch --from 50 --to 400 --factor 3")
@@ -138,16 +149,18 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
 @_out
 @click.option("--picture/--no-picture", default=True, help="Draw modes.png (needs matplotlib and pyvista).")
 def modes(scene: Path, law_path: Path | None, number: int, out: Path, picture: bool) -> None:
-    """Natural frequencies of the curtain of SCENE at rest; writes modes.vtu and modes.png.
+    """Natural frequencies of the curtain of SCENE at rest, with [motion] at t = 0; writes modes.vtu and modes.png.
 
-    Exit code 0: found; 1: the curtain at rest has not converged; 2: bad input.
+    Exit code 0: found; 1: the curtain at rest has not converged; 2: bad input; 3: only the picture failed.
     """
     from macro_fem.motion.modes import run_modes
 
-    found = run_modes(scene, law_path, out, number=number, picture=picture)
+    found, failed = made(run_modes, scene, law_path, out, number=number, picture=picture)
     hertz = ", ".join(f"{one:.4g}" for one in found["frequencies_Hz"])
     say(*found["notes"])
-    answer(found, f"natural frequencies in Hz: {hertz}; written to {out}")
+    under = found["loads"] + ("" if found["time_s"] is None else ", as they are at t = 0 s")
+    answer(found, f"natural frequencies in Hz: {hertz}; under {under}; written to {out}")
+    end_as(failed)
 
 
 @main.command(
@@ -215,7 +228,8 @@ _ring_options = options(
 def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animation: bool, **how: Any) -> None:
     """Solve SCENE ring by ring and write summary.json, rings.vtu and rings.png, or motion.csv, motion.pvd, motion.png.
 
-    Exit code 0: converged to a local minimum; 1: files are written, status and message say why not; 2: bad input.
+    Exit code 0: converged to a local minimum; 1: files are written, status and message say why not; 2: bad input; 3:
+    only pictures failed.
     """
     from homogenize import default_law, load_law
     from macro_fem.job import run_rings
@@ -229,16 +243,16 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animatio
     hung, own = load_scene(scene), (default_law() if law_path is None else load_law(law_path)).cell
     is_moving = hung.motion is not None
     if is_moving:
-        summary = run_motion(scene, law_path, out, animation=animation, goes_on=goes_on, **how)
+        summary, failed = made(run_motion, scene, law_path, out, animation=animation, goes_on=goes_on, **how)
         say(*motion_lines(summary, out))
     elif goes_on or animation:
         raise InputError(AT_REST if goes_on else NO_MOMENTS)
     else:
         if own is not None:
             say(f"expected: {ring_cost(hung, own, space=how['space'])}")
-        summary = run_rings(scene, law_path, out, **how)
+        summary, failed = made(run_rings, scene, law_path, out, **how)
         say(*every_ring_lines(summary, out))
-    _answer_or_go_on(summary, "rings", scene, *law, *plane, "--out", out)
+    _answer_or_go_on(summary, failed, "rings", scene, *law, *plane, "--out", out)
     if not is_moving:
         say_next("macro_fem", "compare", scene, *law, *plane, why="beside the membrane of the law")
 
@@ -285,8 +299,9 @@ def localize(curtain: Path, out: Path, window: str | None, max_rings: int, **fil
     from macro_fem.rings.localize import run_localize
 
     ends: Any = None if window is None else numbers_of(window, "--window", "x0,y0,x1,y1")
-    found = run_localize(curtain, out, ends, max_rings, **files)
+    found, failed = made(run_localize, curtain, out, ends, max_rings, **files)
     say(*ring_field_lines(found, out))
     answer(found)
+    end_as(failed)
     words = ["--out", _beside(out, "tubes"), *([] if window is None else ["--window", window])]
     say_next("macro_fem", "localize", curtain, *words, "--tubes", "--no-picture", why="wires for ParaView")

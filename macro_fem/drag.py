@@ -1,98 +1,130 @@
 """Wind on the present shape: drag of layers on their front, pressure normal to the surface.
 
-A cell of the vector area a = F_1 x F_2 per reference area shows the front v = |a . w| to a wind along w, so that it is
-1/v layers there; cells before and behind its middle add theirs. Each of n layers takes 1/n of q C_D per area of the
-front, with C_D of n layers (`macro_fem.scene.loads`) and q = rho v^2 / 2.
+A cell that shows a wind the part v of its reference area is 1/v layers there. What the wind sees is cut into faces that
+the same cells cover. The n layers of a face, the sum of those of its cells, take q C_D of its area, with C_D of n
+layers (`macro_fem.scene.loads`) and q = rho v^2 / 2, and each cell its share of the layers. So the front is the union
+of the cells, and the drag never more than that of a plate of its area.
 
-Wind that follows presses along a: a pressure per present area, a speed by its component along the normal,
-q C_D (a . w / |a|)^2, on 1/|a| layers.
+Wind that follows presses along the vector area a = F_1 x F_2 per reference area: a pressure per present area, a speed
+by its component along the normal, q C_D (a . w / |a|)^2, on 1/|a| layers and those before and behind them.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
-from scipy.spatial import cKDTree
+import shapely
 
 from macro_fem.fem.assembly import gradient
-from macro_fem.fem.cells import cross, recovered
+from macro_fem.fem.cells import counterclockwise, cross, recovered, signed_areas
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene import loads
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.tables import Wind
 from macro_fem.solution import CurtainSolution
 from rve.common import Array
+from rve.common.records import Index
 
-EDGE = 0.3
-"""Share of a cell's height on both sides of its edges over which its shade fades in; rounds hardly settle with 0.05."""
 LEAST_FRONT = 1e-9
-"""Front per reference area below which it is none."""
+"""Front per reference area below which it is none; overlap of two triangles, over the size, that counts."""
+P2_PARTS = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
+"""Triangles of the nodes of a quadratic cell."""
 
 
 def wind_density(problem: CurtainProblem, x: Array) -> Array:
     """What winds press the points with (n_points, 3), N/mm2, on a shape with nodes at x (n_nodes, 3); InputError for
     pressure that follows and blows along the flat sheet."""
-    F = gradient(problem.disc, x)
-    area, seen = np.cross(F[:, :, 0], F[:, :, 1]), vector_areas(problem, F)
-    total = np.zeros_like(area)
+    disc, F = problem.disc, gradient(problem.disc, x)
+    area, total = np.cross(F[:, :, 0], F[:, :, 1]), np.zeros((disc.n_points, 3))
     for wind in problem.winds:
         if wind.speed is None:
             total += _side(problem, wind) * problem.factor * loads.wind_pressure(wind, None) * area
         else:
-            total += np.tile(problem.factor * _drag(problem, wind, x, seen), (problem.disc.n_quad, 1))
+            total += np.tile(problem.factor * _drag(problem, wind, x, area), (disc.n_quad, 1))
     return total
 
 
-def _drag(problem: CurtainProblem, wind: Wind, x: Array, a: Array) -> Array:
-    """What a wind with a speed presses cells of vector areas a (n_cells, 3) with, (n_cells, 3), N/mm2."""
-    along = unit(wind.direction)
-    v = a @ along
-    layers = layers_of(problem, wind, x, a)
-    push = loads.dynamic_pressure(wind) * loads.layered_drag(problem.law.cell, layers) / layers
-    if not wind.follows:
-        return np.asarray(push[:, None] * along)
-    size = np.maximum(np.linalg.norm(a, axis=1), LEAST_FRONT)
-    return np.asarray((push * size * v * np.abs(v) / size**4)[:, None] * a)
+def _drag(problem: CurtainProblem, wind: Wind, x: Array, area: Array) -> Array:
+    """What a wind with a speed presses cells with, (n_cells, 3), N/mm2, where `area` (n_points, 3) are vector areas.
 
-
-def vector_areas(problem: CurtainProblem, F: Array) -> Array:
-    """Vector areas (n_cells, 3) per reference area, of gradients F (n_points, 3, 2), averaged over neighbours, since
-    slack cells fold in many ways.
+    Averaged over neighbours, since slack cells fold in many ways.
     """
-    disc = problem.disc
-    return recovered(problem.mesh.mesh.t.T, disc.cell_mean(np.cross(F[:, :, 0], F[:, :, 1])), disc.cell_area)
+    disc, cell, along, q = problem.disc, problem.law.cell, unit(wind.direction), loads.dynamic_pressure(wind)
+    front, corners = front_of(problem, x, along), problem.mesh.mesh.t.T
+    if not wind.follows:
+        n = front.layers(front.own)
+        push = (q * front.area * loads.layered_drag(cell, n) / n)[front.face] * front.own
+        density = np.bincount(front.cell, push, disc.n_cells) / disc.cell_area
+        return np.asarray(recovered(corners, density, disc.cell_area)[:, None] * along)
+    a = recovered(corners, disc.cell_mean(area), disc.cell_area)
+    size, v = np.maximum(np.linalg.norm(a, axis=1), LEAST_FRONT), a @ along
+    parts = front.area, front.area / front.layers(1.0 / size[front.cell])
+    whole, shares = (np.bincount(front.cell, one[front.face], disc.n_cells) for one in parts)
+    n = np.where(whole > 0.0, whole / np.where(whole > 0.0, shares, 1.0), 1.0 / size)
+    push = q * loads.layered_drag(cell, n) / n * v * np.abs(v) / size**3
+    return np.asarray(push[:, None] * a)
 
 
-def layers_of(problem: CurtainProblem, wind: Wind, x: Array, a: Array) -> Array:
-    """Layers (n_cells,) on the way of a wind, of cells with vector areas a (n_cells, 3) and nodes at x (n_nodes, 3)."""
-    along = unit(wind.direction)
-    own = 1.0 / np.maximum(np.linalg.norm(a, axis=1) if wind.follows else np.abs(a @ along), LEAST_FRONT)
-    return own + _shade(problem, x, along, own)
+@dataclass(frozen=True, eq=False)
+class Front:
+    """What a wind sees of a shape: areas (m,) of faces in mm2; of each pair (k,) of a face and a cell that covers it
+    their numbers, and how many layers the cell is there."""
+
+    area: Array
+    face: Index
+    cell: Index
+    own: Array
+
+    def layers(self, each: Array) -> Array:
+        """Layers (m,) of the faces, of `each` pair (k,)."""
+        return np.asarray(np.bincount(self.face, each, len(self.area)), float)
 
 
-def _shade(problem: CurtainProblem, x: Array, along: Array, layers: Array) -> Array:
-    """Layers (n_cells,) that cells add before and behind the middle of others that they do not touch."""
-    disc, t = problem.disc, problem.mesh.mesh.t.T
+def front_of(problem: CurtainProblem, x: Array, along: Array) -> Front:
+    """The faces that a wind along a unit vector sees of a shape with nodes at x (n_nodes, 3)."""
+    disc, parts = problem.disc, P2_PARTS if problem.disc.element == "P2" else [[0, 1, 2]]
     _, _, Vt = np.linalg.svd(along[None])
-    corners = x[disc.cell_dofs[:, :3]] @ Vt[1:].T
-    middle = corners.mean(axis=1)
-    reach = 1.2 * float(np.linalg.norm(corners - middle[:, None], axis=2).max())
-    tree = cKDTree(middle)
-    near = tree.sparse_distance_matrix(tree, reach, output_type="coo_matrix")
-    touch = sparse.csr_matrix((np.ones(t.size), (np.repeat(np.arange(len(t)), 3), t.ravel())))
-    is_far = np.asarray((touch[near.row].multiply(touch[near.col])).sum(axis=1)).ravel() == 0.0
-    point, cell = near.row[is_far], near.col[is_far]
-    share = np.clip((_inside(middle[point], corners[cell]) + EDGE) / (2.0 * EDGE), 0.0, 1.0)
-    return np.bincount(point, share * layers[cell], minlength=disc.n_cells).astype(float)
+    points, cells = x @ Vt[1:].T, disc.cell_dofs[:, parts].reshape(-1, 3)
+    area, owner = np.abs(signed_areas(points[cells])), np.repeat(np.arange(disc.n_cells), len(parts))
+    whole = disc.cell_area[owner] / len(parts)
+    seen = np.flatnonzero(area > LEAST_FRONT * whole)
+    area, owner, own = area[seen], owner[seen], whole[seen] / area[seen]
+    corners = points[counterclockwise(points, cells[seen])]
+    least = LEAST_FRONT * problem.mesh.size
+    overlaps = np.zeros(len(corners), bool)
+    overlaps[overlapping(corners, least)] = True
+    alone, met = np.flatnonzero(~overlaps), np.flatnonzero(overlaps)
+    cut, face, cell = faces_of(corners[met], least)
+    return Front(
+        np.append(area[alone], cut),
+        np.append(np.arange(len(alone)), len(alone) + face),
+        np.append(owner[alone], owner[met[cell]]),
+        np.append(own[alone], own[met[cell]]),
+    )
 
 
-def _inside(p: Array, corners: Array) -> Array:
-    """Least barycentric coordinate (n,) of points p (n, 2) in triangles (n, 3, 2); far below 0 in flat ones."""
-    a, b, c = (corners[:, i] - p for i in range(3))
-    parts = np.stack([cross(b, c), cross(c, a), cross(a, b)], axis=-1)
-    total = parts.sum(axis=1, keepdims=True)
-    flat = np.abs(total) <= 1e-12 * np.abs(parts).max(axis=1, keepdims=True)
-    return np.asarray(np.where(flat, -1.0, parts / np.where(flat, 1.0, total)).min(axis=1))
+def overlapping(corners: Array, least: float) -> Index:
+    """Numbers of the triangles with counterclockwise corners (n, 3, 2) that overlap others by more than `least`, mm."""
+    box = shapely.box(*corners.min(axis=1).T, *corners.max(axis=1).T)
+    i, j = shapely.STRtree(box).query(box)
+    i, j = i[i < j], j[i < j]
+    edge = np.roll(corners, -1, axis=1) - corners
+    edge /= np.linalg.norm(edge, axis=2)[:, :, None]
+    for _ in range(2):  # no edge of one has all of the other on its outer side
+        away = corners[j][:, None] - corners[i][:, :, None]
+        apart = cross(edge[i][:, :, None], away).max(axis=2).min(axis=1) <= least
+        i, j = j[~apart], i[~apart]
+    return np.unique(np.append(i, j))
+
+
+def faces_of(corners: Array, least: float) -> tuple[Array, Index, Index]:
+    """Areas (m,) of the faces into which triangles (n, 3, 2) cut each other, and pairs of faces and the triangles that
+    cover them; corners and crossings closer than `least` are one."""
+    triangles = shapely.polygons(corners)
+    lines = shapely.get_parts(shapely.union_all(shapely.boundary(triangles), grid_size=least))
+    faces = shapely.get_parts(shapely.polygonize(lines))
+    face, triangle = shapely.STRtree(triangles).query(shapely.point_on_surface(faces), predicate="intersects")
+    covered, face = np.unique(face, return_inverse=True)  # without gaps between triangles
+    return shapely.area(faces[covered]), face, triangle
 
 
 def _side(problem: CurtainProblem, wind: Wind) -> float:
@@ -116,9 +148,8 @@ def wind_summary(solution: CurtainSolution) -> dict[str, list[dict[str, float]]]
         if wind.speed is None:
             continue
         assert cell is not None  # see `macro_fem.scene.loads.nodal_forces`
-        a = vector_areas(problem, solution.F)
-        layers = layers_of(problem, replace(wind, follows=False), solution.x, a)  # on its way
-        front = float(reference @ (1.0 / layers))
+        along, area = unit(wind.direction), np.cross(solution.F[:, :, 0], solution.F[:, :, 1])
+        front = max(float(front_of(problem, solution.x, along).area.sum()), LEAST_FRONT * float(reference.sum()))
         line = {
             "speed_m_per_s": wind.speed,
             "solidity": loads.ring_solidity(cell),
@@ -126,7 +157,7 @@ def wind_summary(solution: CurtainSolution) -> dict[str, list[dict[str, float]]]
             "pressure_N_per_m2": loads.wind_pressure(wind, cell) / loads.PER_MM2,
             "front_area_m2": front * loads.PER_MM2,
             "layers": float(reference.sum() / front),
-            "drag_N": float(reference @ (problem.factor * _drag(problem, wind, solution.x, a)) @ unit(wind.direction)),
+            "drag_N": float(reference @ (problem.factor * _drag(problem, wind, solution.x, area)) @ along),
         }
         lines.append(line)
     return {"wind": lines} if lines else {}

@@ -17,7 +17,7 @@ from macro_fem.bounds.interval import admissible_problem, levels
 from macro_fem.curtain import solve_problem
 from macro_fem.demand.rings import OnDemand, Rings
 from macro_fem.membrane import MembraneSolution
-from macro_fem.output.pictures import Pictures
+from macro_fem.output.pictures import Pictures, draw_all
 from macro_fem.problem import make_problem
 from macro_fem.rings.every_ring import Comparison, EveryRing, EveryRingSolution
 from macro_fem.rings.ring_scene import in_material, ring_scene
@@ -152,7 +152,8 @@ def run_scene(
 
     `files`: `picture`, `animation` and `html` as of `Solution.save`, and paths of a `report` (PDF) and of the outline
     as `dxf`. InputError, before anything is solved or written, for a scene that cannot be read or is contradictory, and
-    for pictures and files that cannot be made; later, if there is no solution.
+    for pictures and files that cannot be made; later, if there is no solution. NotDrawn, when all else is in place, for
+    pictures and a report that fail.
     """
     wanted, scene = Pictures(**files), load_scene(scene_path)
     known = on_demand.known if on_demand and isinstance(on_demand.known, Path) else None
@@ -163,12 +164,14 @@ def run_scene(
     with noted_if_stopped(f"what was in {out} before is unchanged"):
         found = solve(scene, law if on_demand is None else on_demand)
         assert isinstance(found, MembraneSolution)
-        summary = found.save(out, picture=wanted.picture, animation=wanted.animation, html=wanted.html, inputs=inputs)
-        if wanted.report is not None:
-            found.write_report(wanted.report, inputs)
-        if wanted.dxf is not None:
-            found.write_dxf(wanted.dxf)
-        return summary
+        summary = found.save(out, picture=False, inputs=inputs)
+    if wanted.dxf is not None:
+        found.write_dxf(wanted.dxf)
+    drawings = found.drawings(wanted)
+    if wanted.report is not None:
+        drawings[str(wanted.report.absolute())] = lambda path: found.write_report(path, inputs)
+    draw_all(out, RECORD, summary, drawings, inputs)
+    return summary
 
 
 def run_rings(

@@ -16,7 +16,14 @@ from macro_fem.bounds.interval import CurtainBounds
 from macro_fem.curtain import with_forces
 from macro_fem.output import files
 from macro_fem.output.forces import obstacle_summary
-from macro_fem.output.pictures import Pictures, plot_line_loads, plot_utilisation, write_curtain_page, write_pictures
+from macro_fem.output.pictures import (
+    Drawings,
+    Pictures,
+    curtain_drawings,
+    plot_line_loads,
+    plot_utilisation,
+    write_curtain_page,
+)
 from macro_fem.output.told import envelope
 from macro_fem.rings.curtain import curtain_of, read_told
 from macro_fem.rings.field import RingField
@@ -26,7 +33,7 @@ from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Combination
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.status import Status
-from rve.common import InputError, check_out_file, checked, csv_text, tell, write_text
+from rve.common import InputError, check_out_file, checked, csv_text, write_text
 from rve.common.files import write_mesh_file
 from rve.common.optional import Axes
 
@@ -94,8 +101,11 @@ class MembraneSolution(Solution):
             ]
         return summary
 
-    def _write(self, staged: Path, wanted: Pictures) -> dict[str, Any]:
+    def drawings(self, wanted: Pictures) -> Drawings:
         wanted.check(self.scene)
+        return curtain_drawings(self._shown, wanted)
+
+    def _write(self, staged: Path) -> dict[str, Any]:
         summary, area = self.summary, self.solution.problem.disc.cell_area
         error = {"error_N_mm_per_mm2": self.levels[-1].error / area} if self.levels else {}
         write_mesh_file(staged / "curtain.vtu", files.curtain_mesh(self.loaded, error))
@@ -104,8 +114,6 @@ class MembraneSolution(Solution):
             for (_, _, name), step in zip(entries, self._shown, strict=True):
                 write_mesh_file(staged / name, files.curtain_mesh(step))
             write_text(staged / "curtain.pvd", files.collection(entries))
-        tell("files and pictures")
-        write_pictures(staged, self._shown, wanted)
         write_text(staged / "order.csv", csv_text(list(summary["order"]), [summary["order"].values()]))
         if self.combinations:
             rows = summary["envelope"]["support_forces"]

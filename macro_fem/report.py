@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 
 from macro_fem.output.forces import first_of_largest, spot_loads
+from macro_fem.output.forces import loads_in_words as _loads
 from macro_fem.output.pictures import plot_line_loads, plot_utilisation
 from macro_fem.output.told import combination_lines, components, links, order_lines, verdict
-from macro_fem.scene.scene import Scene
-from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, Wind
 from macro_fem.solution import CurtainSolution
 from rve.common import atomic_path, checksum, digits
-from rve.common.drawing.plane import BLUE, VERMILION, new_figure
+from rve.common.drawing.plane import BLUE, VERMILION, as_typed, new_figure
 from rve.common.optional import Axes, Figure
 
 A4 = (8.27, 11.69)
@@ -86,7 +85,7 @@ def write_report(
     told = {"Title": title, "Creator": "macro_fem", "CreationDate": None}
     with atomic_path(path) as temporary, PdfPages(temporary, metadata=told) as file:
         for page in pages:
-            file.savefig(page)
+            file.savefig(as_typed(page))
 
 
 def _page(title: str) -> Figure:
@@ -146,10 +145,6 @@ def _forces(supports: list[dict[str, Any]]) -> list[tuple[float, str, str]]:
     return rows
 
 
-def _vector(parts: Iterable[float]) -> str:
-    return f"({', '.join(f'{part:g}' for part in parts)})"
-
-
 def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
     """The flat sheet with its outline, dimensions, held points and edges, and loads at points."""
     scene, mesh = solution.problem.scene, solution.problem.mesh.mesh
@@ -178,16 +173,3 @@ def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
     ax.set_title("Flat sheet, mm", fontsize=8, loc="left")
     ax.set(xlim=(x0 - off, x1 + 2 * off), ylim=(y0 - 2 * off, y1 + 1.8 * off), aspect="equal")
     ax.axis("off")
-
-
-def _loads(scene: Scene) -> str:
-    """The loads of a scene in words."""
-    loads = ["weight"] if any(scene.load.acceleration) else []
-    loads += [f"bar of {one.mass:g} kg on {one.edge}" for one in scene.of(Bar)]
-    for one in scene.of(Wind):
-        strength = f"{one.pressure:g} N/m2" if one.speed is None else f"{one.speed:g} m/s"
-        loads.append(f"wind of {strength} along {_vector(one.direction)}{' that follows the surface' * one.follows}")
-    for _, spot in spot_loads(scene):
-        spread = f" (radius {spot.radius:g} mm)" if isinstance(spot, PatchLoad) else ""
-        loads.append(f"{_vector(spot.force)} N at {_vector(spot.at)}{spread}")
-    return ", ".join([*loads, *(f"{_vector(one.force)} N/mm on {one.edge}" for one in scene.of(EdgeLoad))])

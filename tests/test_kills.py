@@ -132,3 +132,35 @@ def test_a_killed_command_leaves_the_old_or_the_new_result(inputs, tmp_path, nam
         assert job_in(out, case) in (*found, None), share
     finish(case.new, work)
     assert job_in(out, case) == found[0]
+
+
+MOVE = """
+curtain = {width = 400.0, height = 400.0}
+mesh = {cells = 3}
+support = [{kind = "point", at = [0.0, 400.0]}, {kind = "point", at = [400.0, 400.0], release = 0.01}]
+motion = {duration = 0.1}
+"""
+
+
+@pytest.mark.slow
+def test_twelve_kills_of_a_motion_lose_no_step(tmp_path):
+    """Each as soon as a step more is there: as many steps stay, and the run goes on to the same numbers."""
+    (tmp_path / "move.toml").write_text(MOVE)
+    words, table = module("macro_fem", "run", "move.toml", "--no-picture", "--out"), tmp_path / "out" / "motion.csv"
+    finish((*words, "whole"), tmp_path)
+
+    def rows():
+        return table.read_text().count("\n") - 1 if table.exists() else 0
+
+    for number in range(12):
+        before, again = rows(), ["--continue"] * bool(number)
+        process = start((*words, "out", *again), tmp_path)
+        while process.poll() is None and rows() < max(2, before + 1):
+            time.sleep(1e-4)
+        process.kill()
+        process.wait()
+        assert rows() > before
+    finish((*words, "out", "--continue"), tmp_path)
+    assert table.read_text() == (tmp_path / "whole" / "motion.csv").read_text()
+    names = sorted(path.name for path in table.parent.iterdir())
+    assert names == sorted(path.name for path in (tmp_path / "whole").iterdir())

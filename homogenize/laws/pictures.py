@@ -67,7 +67,7 @@ def plot_strength(
     axes[1].set(xlabel="S11 (N/mm)", ylabel="S12 (N/mm)", zlabel="S22 (N/mm)", title="Space of line loads")
     axes[1].legend(loc="upper left", fontsize=11)
     _plot_strength_sections(known, stress, axes[2])
-    axes[0].figure.suptitle(f"{known.joint} rings of {known.material.name}, yield stress {stress:g} N/mm$^2$")
+    axes[0].figure.suptitle(f"{known.joint} rings of {known.material.name}, yield stress {stress:g} N/mm2")
     return axes
 
 

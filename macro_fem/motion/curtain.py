@@ -70,6 +70,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         self.mesh = build_mesh(scene_at(scene, 0.0), self.law.cell)
         self.what, self.size = f"{self.mesh.mesh.t.shape[1]} cells", self.mesh.size
         self.is_rigid = not scene.solver.is_elastic
+        self.told: tuple[MotionFrame, CurtainSolution] | None = None
         for ball in self.balls:
             check_breadth(scene, f"[[body]] {ball.name}", ball.radius, self.mesh.longest_side)
 
@@ -81,7 +82,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         return problem, self.acting[1].moved(x_held)
 
     def first_frame(self) -> MotionFrame:
-        """The curtain at rest at t = 0, hung or in its reference state, and the bodies."""
+        """The curtain at rest at t = 0, hung or in its reference state, where [start] lays it, and the bodies."""
         scene, balls = self.scene, self.balls
         problem, _ = self.at(0.0)
         if self.motion.start == "hung":
@@ -91,7 +92,8 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
                 raise NotConverged(f"{scene.source}: the curtain at rest at t = 0 is {words}")
             x, P, S, cones, forces = hung.x, hung.P, hung.S, hung.cones, hung.reactions
         else:
-            x = in_space_of(problem.disc.nodes, problem.fem.d)
+            X = problem.disc.nodes
+            x = in_space_of(X, problem.fem.d) if scene.start is None else scene.start.places(X)
             held = self.at(self.near)[0].supports  # without those that let go at t = 0
             away = np.where(held.mask, held.positions - x, 0.0)
             if np.abs(away).max(initial=0.0) > 1e-6 * self.size:
@@ -102,7 +104,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             P = np.zeros((problem.disc.n_points, problem.fem.d, 2))
             S, cones, forces = np.zeros((len(P), 3)), None, np.zeros_like(x)
         place = np.vstack([x, *[np.array([ball.at]) for ball in balls]])
-        Contacts(problem, balls).check_start(place)
+        Contacts(problem, balls).check_start(place, self.motion.start == "hung")
         masses, weights = masses_of(problem, balls), weights_of(problem, balls)
         moment, account = self.at_start(place, masses, weights, stored_energy(problem, x) or 0.0)
         return MotionFrame(moment=moment, account=account, P=P, S=S, supports=forces, problem=problem, cones=cones)
@@ -121,10 +123,10 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         if contacts.passed(now.x, fem.positions(result.z)) > GRAZED:
             words = f"in the step to {now.t + h:.6g} s a body passes the mesh: use shorter steps"
             raise Failed("pierced", words)
-        moved, touched = contacts.work(walls, result.wall_forces, now.x)
-        end = replace(end_of(problem, fem, step, result, walls), moved=moved, touched=touched)
+        pushed, moves, touched = contacts.work(walls, result.wall_forces, now.x)
+        end = replace(end_of(problem, fem, step, result, walls), pushed=pushed, moves=moves, touched=touched)
         return MotionFrame(
-            **step.finish(frame.account, end),
+            **step.finish(frame.account, end, frame.forces),
             iterations=result.iterations,
             P=result.P,
             S=result.S,
@@ -151,12 +153,22 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         return found | {"notes": list(self.mesh.notes)}
 
     def pack(self, frame: MotionFrame) -> dict[str, Any]:
-        return {name: getattr(frame, name) for name in ("P", "S", "supports", "relative_gap")}
+        cones = {} if frame.cones is None else {f"cone_{name}": one for name, one in vars(frame.cones).items()}
+        kept = {"P": frame.P, "S": frame.S, "supports": frame.supports, "relative_gap": frame.relative_gap} | cones
+        return {name: one for name, one in kept.items() if one is not None}
 
     def unpack(self, moment: Moment, account: Account, kept: dict[str, Any]) -> MotionFrame:
-        return MotionFrame(moment=moment, account=account, problem=self.at(moment.t)[0], **kept)
+        cones = {name.removeprefix("cone_"): kept.pop(name) for name in list(kept) if name.startswith("cone_")}
+        found = MotionFrame(moment=moment, account=account, problem=self.at(moment.t)[0], **kept)
+        return replace(found, cones=Cones(**cones)) if cones else found
 
     def as_solution(self, frame: MotionFrame) -> CurtainSolution:
+        """`_solution`, of the last frame without computing it again."""
+        if self.told is None or self.told[0] is not frame:
+            self.told = frame, self._solution(frame)
+        return self.told[1]
+
+    def _solution(self, frame: MotionFrame) -> CurtainSolution:
         """The curtain at a frame, with balls as obstacles of the scene and without supports that have let go.
 
         Its load is what line loads and supports balance: outer forces, pushes, and those of inertia. Winds with a speed
@@ -171,7 +183,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         scene = replace(problem.scene, items=tuple(kept))
         dead, wind = internal_force(problem.disc, frame.P) - frame.supports, None
         if problem.winds:
-            blown, blocks = winds_at(problem, frame.moment)
+            blown, blocks = winds_at(problem, frame.moment.v, frame.moment)
             blown -= times(blocks, frame.moment.v[:n])
             wind = (blown / load_vector(problem.disc, np.array([1.0])))[problem.disc.cell_dofs].mean(axis=1)
             dead -= load_vector(problem.disc, wind)

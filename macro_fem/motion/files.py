@@ -1,12 +1,17 @@
-"""Files of anything in motion: motion.csv, a series for ParaView, summary.json, pictures, and motion.npz, from which it
-goes on."""
+"""Files of anything in motion: motion.csv, a series for ParaView, summary.json, and motion.npz, from which it goes on.
+
+All but pictures are in place after every step, so that a run that is killed loses none that is finished. Pictures are
+drawn when the run has ended.
+"""
 
 import hashlib
 import shutil
 import subprocess
-from collections.abc import Sequence
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,25 +21,30 @@ from macro_fem.answer import RECORD, read_job
 from macro_fem.motion.curtain import MovingCurtain
 from macro_fem.motion.pace import COLUMNS, Frame, Mover, Run
 from macro_fem.motion.rings import MovingRings
-from macro_fem.motion.step import Account, Moment
+from macro_fem.motion.step import Account, Forces, Moment
 from macro_fem.output.files import collection
 from macro_fem.output.images import Draw, in_turn, save_animation, save_panels
 from macro_fem.output.page import write_moments
-from macro_fem.output.pictures import Pictures
+from macro_fem.output.pictures import Drawings, Pictures, draw_all
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.scene.scene import Scene
-from rve.common import Array, InputError, check_belongs, csv_text, read_json_object, tell
-from rve.common.files import atomic_path, job, versions, write_mesh_file, write_text
+from rve.common import Array, InputError, check_belongs, check_out_file, csv_text, json_text, read_json_object
+from rve.common.files import HIDDEN, UNREADABLE, atomic_path, checksum, job, versions, write_mesh_file, write_text
 
 KEPT = "motion.npz"
+PICTURES = ("motion.png", "motion.html", "motion.gif", "motion.mp4")
 MOST_SHOWN, PANELS, IMAGES = 200, 4, 48
-"""Moments at most in the series of VTUs, in motion.png, and in motion.gif and motion.html."""
+"""Moments at most in the series of VTUs of a run, in motion.png, and in motion.gif and motion.html."""
+RUNNING = "running"
+"""Status of a run that has not ended, or was killed."""
 IMPULSES = (
     "rings that lock do so by impulses: forces and line loads are those over each step divided by its length, and grow "
     'with shorter steps where something is struck; kind = "elastic" under [solver] gives forces'
 )
 AnyMover = Mover[Any, Any]
 FORCES = "at the ends of the steps, by the elasticity of the rings"
+BROKEN = (*UNREADABLE, EOFError, NotImplementedError, zipfile.BadZipFile)
+"""What a damaged motion.npz raises."""
 
 
 def run_motion(
@@ -42,31 +52,228 @@ def run_motion(
 ) -> dict[str, Any]:
     """Solve the scene of [motion] in a file, write its files into `out` and return the summary.
 
-    goes_on: from the end of the run whose files are in `out`, of the same scene but for its duration, and the same law.
-    how: `picture`, `animation` and `html`, and for a scene that is solved ring by ring space and start of `EveryRing`.
-    InputError in one sentence, and nothing written, for what cannot be read or begin.
+    goes_on: from the last step of the run whose files are in `out`, of the same scene but for its duration, and the
+    same law. how: `picture`, `animation` and `html`, and for a scene that is solved ring by ring space and start of
+    `EveryRing`. InputError in one sentence, and nothing written, for what cannot be read or begin; NotDrawn, after
+    everything else is in place, for pictures that fail.
     """
     scene, law, inputs = read_job(scene_path, law_path, out)
     each_ring = {name: how.pop(name) for name in ("space", "start") if name in how}
     wanted = Pictures(**how, stem="motion")
     wanted.check(scene, in_space=True)
     mover: AnyMover = MovingRings(scene, EveryRing(law, **each_ring)) if each_ring else MovingCurtain(scene, law)
-    of, before, rows = _checksum(scene, law, each_ring.get("space")), list[Frame](), list[Any]()
-    if goes_on:
-        before, rows = read_kept(out / KEPT, mover, of)
-        if before[-1].moment.t >= mover.motion.duration * (1.0 - 1e-9):
-            raise InputError(f"--continue: the run in {out} has come to its end; give a longer duration under [motion]")
-    run = mover.solve(before[-1] if before else None)
-    new = run.frames[1 if before else 0 :]
-    table = np.array([*rows, *([*frame.row, *mover.peaks(frame)] for frame in new)])
-    shown = chosen((*before[:-1], *run.frames), MOST_SHOWN)
-    summary = summarize(mover, run, table) | {"frames": len(shown)}
-    with job(out, RECORD, summary, inputs) as folder:
-        write_text(folder / "motion.csv", csv_text(COLUMNS, table[:, : len(COLUMNS)].tolist()))
-        _write_frames(folder, mover, shown)
-        _write_kept(folder / KEPT, mover, of, shown, table)
-        _write_pictures(folder, mover, shown, wanted)
+    log = Log(out, mover, _checksum(scene, law, each_ring.get("space")), inputs)
+    run = mover.solve(log.resume() if goes_on else None, log.add)
+    summary = log.finish(run)
+    draw_all(out, RECORD, summary, _drawings(out, mover, list(log.shown.values()), wanted), inputs)
     return summary
+
+
+class Log:
+    """The files of a run in the folder `out`, in place after every step that is added.
+
+    rows: the numbers of motion.csv and the `peaks` of every step. shown: the frames of the series by their steps.
+    """
+
+    def __init__(self, out: Path, mover: AnyMover, of: str, inputs: Sequence[Path | None]) -> None:
+        assert mover.scene.motion is not None
+        self.out, self.mover, self.of, self.inputs = out, mover, of, inputs
+        self.rows, self.shown = list[list[float]](), dict[int, Any]()
+        self.last: Any = None
+        self.files: dict[str, str] = {}
+        self.period, self.due = mover.motion.duration / (MOST_SHOWN - 1), 0
+
+    def add(self, frame: Frame) -> None:
+        """Write what a frame adds; the first one replaces what `out` held before."""
+        number, row = len(self.rows), [*frame.row, *self.mover.peaks(frame)]
+        if number and frame.moment.t <= self.rows[-1][0]:
+            return  # that from which the run goes on
+        self.rows.append(row)
+        self.last = frame
+        is_due = self._is_due(frame)
+        if not number:
+            with job(self.out, RECORD, self._record, self.inputs) as folder:
+                self._write_table(folder)
+                self._show(folder, 0, frame)
+                self._keep(folder)
+            return
+        line = csv_text([str(one) for one in row[: len(COLUMNS)]], [])
+        with (self.out / "motion.csv").open("a", encoding="utf-8", newline="") as file:
+            file.write(line)
+        self.table.update(line.encode())
+        if is_due:
+            self._show(self.out, number, frame)
+        self._keep(self.out)
+        self._write_record(self._record)
+
+    def finish(self, run: Run[Any]) -> dict[str, Any]:
+        """Write what the end of the run adds, all frames in one file among it; the summary."""
+        if (number := len(self.rows) - 1) not in self.shown:
+            self._show(self.out, number, self.last)
+        self._write_table(self.out)
+        self._keep(self.out, self.shown)
+        self._remove(_names(one)[1] for one in self.shown)
+        summary = summarize(self.mover, run, self.last, np.array(self.rows)) | {"frames": len(self.shown)}
+        self._write_record(summary)
+        return summary
+
+    def resume(self) -> Frame:
+        """The last frame of the run in `out`, whose files it takes over.
+
+        InputError for a run of another scene or law, one that has come to its end, and for files that are damaged.
+        """
+        path, record, again = self.out / KEPT, self.out / RECORD, "run again without --continue"
+        if not path.exists():
+            raise InputError(f"--continue: {path} is missing: there is no run to go on with")
+        before = read_json_object(record)
+        if before.get("status") != RUNNING:
+            check_belongs(path, record, before, again)
+        kept = self._load(path)
+        self.last = frame = self._unpack(kept)
+        if frame.moment.t >= self.mover.motion.duration * (1.0 - 1e-9):
+            words = "has come to its end; give a longer duration under [motion]"
+            raise InputError(f"--continue: the run in {self.out} {words}")
+        table, count = self.out / "motion.csv", len(kept["peaks"])
+        try:
+            self.rows = np.hstack(
+                [np.loadtxt(table, delimiter=",", skiprows=1, ndmin=2, max_rows=count), kept["peaks"]]
+            ).tolist()
+        except (OSError, ValueError) as error:
+            raise InputError(f"--continue: {table} does not hold the {count} steps of {path}: {again}") from error
+        self.files = before["files"]
+        for left in self.out.glob(f"{HIDDEN}*"):  # by a process that was killed
+            shutil.rmtree(left, ignore_errors=True)
+        self._remove(PICTURES)  # of fewer moments
+        for number in kept["shown"].tolist():
+            alone, one = _names(number)[1], _part(kept, f"shown_{number}_")
+            if one:
+                self._save(self.out, alone, one)
+            self.shown[number] = self._unpack(one or self._load(self.out / alone))
+            self._is_due(self.shown[number])
+        self._write_table(self.out)
+        self._write_series(self.out)
+        self._keep(self.out)
+        self._write_record(self._record)
+        return frame
+
+    @property
+    def _record(self) -> dict[str, Any]:
+        """What summary.json says of a run that has not ended."""
+        message = (
+            f"{self.rows[-1][0]:.6g} of {self.mover.motion.duration:g} s are solved; --continue goes on from there"
+        )
+        return {"status": RUNNING, "message": message, "reached_s": self.rows[-1][0], "steps": len(self.rows) - 1}
+
+    def _is_due(self, frame: Frame) -> bool:
+        """Whether a frame belongs to the series, of at most `MOST_SHOWN` moments as even as the steps are."""
+        passed, self.due = self.due, int(frame.moment.t / self.period * (1.0 + 1e-9)) + 1
+        return self.due > passed
+
+    def _write_table(self, folder: Path) -> None:
+        text = csv_text(COLUMNS, [row[: len(COLUMNS)] for row in self.rows])
+        write_text(folder / "motion.csv", text)
+        self.table = hashlib.sha256(text.encode())
+
+    def _show(self, folder: Path, number: int, frame: Frame) -> None:
+        """Add a frame to the series."""
+        import meshio
+
+        self.shown[number], balls = frame, self.mover.balls
+        vtu, npz, bodies = _names(number)
+        for name in (vtu, npz):
+            check_out_file(folder / name, "--out", self.inputs)
+        self.mover.write_vtu(folder / vtu, frame)
+        self._save(folder, npz, _packed(self.mover, frame))
+        if balls:
+            x, v = (one[-len(balls) :] for one in (frame.moment.x, frame.moment.v))
+            data = {"radius_mm": np.array([ball.radius for ball in balls]), "velocity_mm_per_s": v}
+            points = meshio.Mesh(x, [("vertex", np.arange(len(x))[:, None])], point_data=data)
+            write_mesh_file(folder / bodies, points)
+            self.files[bodies] = checksum(folder / bodies)
+        self.files[vtu] = checksum(folder / vtu)
+        self._write_series(folder)
+
+    def _write_series(self, folder: Path) -> None:
+        """motion.pvd, which lists motion_0000.vtu and so on, and where bodies are, as points and in bodies.csv."""
+        balls, entries, places = self.mover.balls, [], []
+        for number, frame in self.shown.items():
+            t, (vtu, _, bodies) = frame.moment.t, _names(number)
+            entries += [(t, 0, vtu), *([(t, 1, bodies)] if balls else [])]
+            both = np.hstack([frame.moment.x, frame.moment.v])[len(frame.moment.x) - len(balls) :].tolist()
+            places += [(t, ball.name, *numbers) for ball, numbers in zip(balls, both, strict=True)]
+        texts = {"motion.pvd": collection(entries)}
+        if balls:
+            names = ("t_s", "body", "x_mm", "y_mm", "z_mm", "v_x_mm_per_s", "v_y_mm_per_s", "v_z_mm_per_s")
+            texts["bodies.csv"] = csv_text(names, places)
+        for name, text in texts.items():
+            write_text(folder / name, text)
+            self.files[name] = hashlib.sha256(text.encode()).hexdigest()
+
+    def _keep(self, folder: Path, shown: Mapping[int, Frame] = MappingProxyType({})) -> None:
+        """Write what the run goes on from, after which the last step is in place; with frames of the series."""
+        last = self.last
+        kept: dict[str, Any] = {"h": last.h, "most": last.most, "is_euler": last.is_euler, "shown": list(self.shown)}
+        kept["peaks"] = np.array(self.rows)[:, len(COLUMNS) :]
+        if last.last is not None:
+            kept |= {f"last_{name}": value for name, value in vars(last.last).items()}
+        if last.forces is not None:
+            kept |= {f"force_{name}": value for name, value in vars(last.forces).items()}
+        for number, frame in shown.items():
+            kept |= {f"shown_{number}_{name}": one for name, one in _packed(self.mover, frame).items()}
+        self._save(folder, KEPT, kept | _packed(self.mover, last))
+        self.files["motion.csv"] = self.table.hexdigest()
+
+    def _remove(self, names: Iterable[str]) -> None:
+        """Remove those of the files that the run has written."""
+        for name in names:
+            if self.files.pop(name, None):
+                (self.out / name).unlink(missing_ok=True)
+
+    def _write_record(self, record: dict[str, Any]) -> None:
+        write_text(self.out / RECORD, json_text(record | {"files": self.files}))
+
+    def _save(self, folder: Path, name: str, kept: dict[str, Any]) -> None:
+        with atomic_path(folder / name) as temporary:
+            np.savez(temporary, of=self.of, **kept)
+        self.files[name] = checksum(folder / name)
+
+    def _load(self, path: Path) -> dict[str, Any]:
+        """The numbers of a file that `_save` has written; InputError for one of another scene or law, and damaged."""
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                kept = {name: one if one.ndim else one.item() for name, one in file.items()}
+        except BROKEN as error:
+            raise InputError(f"--continue: {path} is missing or damaged: run again without --continue") from error
+        if kept.pop("of", None) != self.of:
+            raise InputError(f"--continue: {path} is of another scene or law: only [motion] duration may differ")
+        return kept
+
+    def _unpack(self, kept: dict[str, Any]) -> Any:
+        """The frame of `_packed`, and how the run goes on where that is in the file."""
+        moment, account = Moment(kept["t"], kept["x"], kept["v"]), Account(*kept["account"].tolist())
+        frame = self.mover.unpack(moment, account, _part(kept, "of_"))
+        last, forces = _part(kept, "last_"), _part(kept, "force_")
+        pace = {name: kept[name] for name in ("h", "most", "is_euler") if name in kept}
+        return replace(
+            frame, last=Moment(**last) if last else None, forces=Forces(**forces) if forces else None, **pace
+        )
+
+
+def _names(number: int) -> tuple[str, str, str]:
+    """The files of a step in the series: the mesh, its numbers, and bodies."""
+    return f"motion_{number:04d}.vtu", f"motion_{number:04d}.npz", f"bodies_{number:04d}.vtu"
+
+
+def _part(kept: dict[str, Any], begin: str) -> dict[str, Any]:
+    """The numbers whose names begin so, without the beginning."""
+    return {name.removeprefix(begin): one for name, one in kept.items() if name.startswith(begin)}
+
+
+def _packed(mover: AnyMover, frame: Frame) -> dict[str, Any]:
+    """The numbers of a frame by name."""
+    return (
+        vars(frame.moment) | {"account": astuple(frame.account)} | {f"of_{k}": v for k, v in mover.pack(frame).items()}
+    )
 
 
 def chosen(frames: Sequence[Frame], most: int) -> list[Any]:
@@ -78,53 +285,39 @@ def chosen(frames: Sequence[Frame], most: int) -> list[Any]:
     return [frames[int(k)] for k in which]
 
 
-def _write_pictures(folder: Path, mover: AnyMover, frames: Sequence[Frame], wanted: Pictures) -> None:
-    """motion.png, motion.html and motion.gif, as far as they are wanted; motion.mp4 where ffmpeg is installed."""
+def _drawings(out: Path, mover: AnyMover, frames: Sequence[Frame], wanted: Pictures) -> Drawings:
+    """How to draw motion.png, motion.html and motion.gif, as far as they are wanted; motion.mp4 of the GIF in `out`
+    where ffmpeg is installed."""
 
-    def moments(some: Sequence[Frame]) -> list[tuple[str, Draw]]:
+    def moments(most: int) -> list[tuple[str, Draw]]:
+        some = chosen(frames, most)
         return [(f"{one.moment.t:.3f} s", draw) for one, draw in zip(some, mover.views(some), strict=True)]
 
+    def draw_panels(path: Path) -> None:
+        at, draws = zip(*moments(PANELS), strict=True)
+        save_panels(path, draws, f"at {', '.join(at)}")
+
+    def encode(path: Path) -> None:
+        even = "scale=trunc(iw/2)*2:trunc(ih/2)*2,format=yuv420p"  # what every player shows
+        words = (str(ffmpeg), "-v", "quiet", "-i", out / "motion.gif", "-vf", even, path)
+        if subprocess.run(words, check=False).returncode:
+            raise RuntimeError("ffmpeg failed")
+
+    drawings: Drawings = {}
     if wanted.picture:
-        at, draws = zip(*moments(chosen(frames, PANELS)), strict=True)
-        save_panels(folder / "motion.png", draws, f"at {', '.join(at)}")
-    some = moments(chosen(frames, IMAGES)) if wanted.html or wanted.animation else []
+        drawings["motion.png"] = draw_panels
     if wanted.html:
-        write_moments(folder / "motion.html", in_turn(some), mover.scene.source.stem)
+        drawings["motion.html"] = lambda path: write_moments(path, in_turn(moments(IMAGES)), mover.scene.source.stem)
     if wanted.animation:
-        save_animation(folder / "motion.gif", in_turn(some))
+        drawings["motion.gif"] = lambda path: save_animation(path, in_turn(moments(IMAGES)))
         if ffmpeg := shutil.which("ffmpeg"):
-            even = "scale=trunc(iw/2)*2:trunc(ih/2)*2,format=yuv420p"  # what every player shows
-            words = (ffmpeg, "-v", "quiet", "-i", folder / "motion.gif", "-vf", even, folder / "motion.mp4")
-            subprocess.run(words, check=False)
+            drawings["motion.mp4"] = encode
+    return drawings
 
 
-def _write_frames(folder: Path, mover: AnyMover, frames: Sequence[Frame]) -> None:
-    """motion_0000.vtu and so on with motion.pvd, and where bodies are, as points and in bodies.csv."""
-    import meshio
-
-    balls, entries, places = mover.balls, [], []
-    for k, frame in enumerate(frames):
-        tell(f"writing frames, {k} of {len(frames)}")
-        t = frame.moment.t
-        entries.append((t, 0, f"motion_{k:04d}.vtu"))
-        mover.write_vtu(folder / entries[-1][2], frame)
-        if balls:
-            x, v = (one[-len(balls) :] for one in (frame.moment.x, frame.moment.v))
-            data = {"radius_mm": np.array([ball.radius for ball in balls]), "velocity_mm_per_s": v}
-            entries.append((t, 1, f"bodies_{k:04d}.vtu"))
-            points = meshio.Mesh(x, [("vertex", np.arange(len(x))[:, None])], point_data=data)
-            write_mesh_file(folder / entries[-1][2], points)
-            both = np.hstack([x, v]).tolist()
-            places += [(t, ball.name, *numbers) for ball, numbers in zip(balls, both, strict=True)]
-    write_text(folder / "motion.pvd", collection(entries))
-    if balls:
-        names = ("t_s", "body", "x_mm", "y_mm", "z_mm", "v_x_mm_per_s", "v_y_mm_per_s", "v_z_mm_per_s")
-        write_text(folder / "bodies.csv", csv_text(names, places))
-
-
-def summarize(mover: AnyMover, run: Run[Any], rows: Array) -> dict[str, Any]:
-    """The numbers of summary.json from the `row` and the `peaks` of every step (m, 14 or more)."""
-    last, t, force = run.frames[-1], rows[:, 0], rows[:, COLUMNS.index("support_force_N")]
+def summarize(mover: AnyMover, run: Run[Any], last: Frame, rows: Array) -> dict[str, Any]:
+    """The numbers of summary.json from the last frame, and the `row` and the `peaks` of every step (m, 14 or more)."""
+    t, force = rows[:, 0], rows[:, COLUMNS.index("support_force_N")]
     first = len(last.moment.x) - len(mover.balls)
     ends = zip(mover.balls, last.moment.x[first:], last.moment.v[first:], strict=True)
     found = {
@@ -162,45 +355,6 @@ def account_error(rows: Array) -> float:
     balance = terms @ np.array([1.0, 1.0, 1.0, -1.0, 1.0, 1.0, 1.0])
     scale = max(float(np.abs(terms).max()), 1e-6 * float(np.abs(rows[:, 5:12]).max()), 1e-300)
     return float(np.abs(balance).max()) / scale
-
-
-def _write_kept(path: Path, mover: AnyMover, of: str, frames: Sequence[Frame], rows: Array) -> None:
-    """Write what a run goes on from: frames, the last one of the run at the end, and the rows of all steps."""
-    end = frames[-1]
-    kept: dict[str, Any] = {"of": of, "rows": rows, "h": end.h, "most": end.most, "is_euler": end.is_euler}
-    for k, frame in enumerate(frames):
-        told = vars(frame.moment) | {"account": astuple(frame.account)} | mover.pack(frame)
-        kept |= {f"{name}_{k}": value for name, value in told.items()}
-    if end.last is not None:
-        kept |= {f"{name}_last": value for name, value in vars(end.last).items()}
-    with atomic_path(path) as temporary:
-        np.savez_compressed(temporary, **kept)
-
-
-def read_kept(path: Path, mover: AnyMover, of: str) -> tuple[list[Any], list[Any]]:
-    """Frames and rows of a run of the same scene but for its duration; InputError for any other file, and for one that
-    the record beside it does not list by its checksum."""
-    if not path.exists():
-        raise InputError(f"--continue: {path} is missing: there is no run to go on with")
-    record = path.with_name(RECORD)
-    check_belongs(path, record, read_json_object(record), "run again without --continue")
-    with np.load(path, allow_pickle=False) as file:
-        kept = {name: one if one.ndim else one.item() for name, one in file.items()}
-    if kept.pop("of") != of:
-        raise InputError(f"--continue: {path} is of another scene or law: only [motion] duration may differ")
-    rows, pace = list(kept.pop("rows")), {name: kept.pop(name) for name in ("h", "most", "is_euler")}
-    parts: dict[str, dict[str, Any]] = {}
-    for name, one in kept.items():
-        own, _, number = name.rpartition("_")
-        parts.setdefault(number, {})[own] = one
-    moments = {number: Moment(one.pop("t"), one.pop("x"), one.pop("v")) for number, one in parts.items()}
-    last = moments.pop("last", None)
-    frames = [
-        mover.unpack(moments[k], Account(*parts[k].pop("account").tolist()), parts[k])
-        for k in map(str, range(len(moments)))
-    ]
-    frames[-1] = replace(frames[-1], last=last, **pace)
-    return frames, rows
 
 
 def _checksum(scene: Scene, law: MembraneLaw, space: bool | None) -> str:

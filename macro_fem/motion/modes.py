@@ -7,8 +7,9 @@ In space w has three components and keeps to the tangent of the locked surface, 
 carries load; what an obstacle pushes stays on it, whose curvature takes from K.
 
 Columns that hang beside each other are coupled only by line loads across: modes that share one frequency are counted
-once, with their number. Left out are shapes that alternate from node to node, which are the mesh's own (`RESOLVED`),
-and those of slack parts, which nothing but inertia resists (`SLACK_HZ`).
+once, with their number. A mesh gives each a frequency of its own, the farther off the rougher its shape is: what a
+smoother shape may explain counts to that. Left out are shapes that alternate from node to node, which are the mesh's
+own (`RESOLVED`), and those of slack parts, which nothing but inertia resists (`SLACK_HZ`).
 """
 
 from collections.abc import Callable
@@ -25,12 +26,13 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 from macro_fem.answer import read_job
 from macro_fem.curtain import forces_by
 from macro_fem.fem.assembly import SparsityPattern, stiffness
-from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
+from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded, recovered
 from macro_fem.fem.discretization import ELEMENTS
 from macro_fem.job import solve_membrane
 from macro_fem.motion.stage import TONNE, masses_of, mesh_masses, pushed_points, scene_at
+from macro_fem.output.forces import loads_in_words
 from macro_fem.output.images import save_picture
-from macro_fem.output.pictures import Pictures
+from macro_fem.output.pictures import Pictures, draw_all
 from macro_fem.output.space_view import add_supports
 from macro_fem.scene.supports import build_supports
 from macro_fem.scene.tables import Bar, Wind
@@ -41,7 +43,7 @@ from rve.common.drawing.space import THREE_QUARTERS, add, add_length, below, loo
 from rve.common.files import write_mesh_file
 
 CARRIES = 1e-6
-"""Points with a larger part of the largest line load than this are held on the locked surface."""
+"""Points with a larger part of the largest line load than this carry load, and hold nodes on the locked surface."""
 SHIFT = 1e-2
 """The shift is minus this part of the mean line load, times twice the area over mass and size squared: about g over the
 size of a curtain that hangs."""
@@ -51,9 +53,9 @@ RESOLVED = 0.9
 """Consistent over lumped kinetic energy of a shape that the mesh resolves: 1 for a smooth one, 1/4 for the roughest."""
 SMOOTH = 2e-2
 """Up to this part of the stored energy what averaged gradients lack is the error of the mesh, which is taken off."""
-ALIKE, EXACT = 2e-2, {2: 2e-3, 3: 1e-2}
-"""Relative difference of frequencies that count as one; and of those of smooth shapes, which are that exact, in the
-plane and in space, where the locked surface stiffens the mesh."""
+EXACT, DOUBT = {2: 2e-3, 3: 1e-2}, {2: 1.0, 3: 1.5}
+"""How exact frequencies of smooth shapes are, in the plane and in space, where the locked surface stiffens the mesh;
+the power of 1 - roughness by which others are too large. Larger values count more shapes to smoother ones."""
 SQUARE = [[0, 1], [1, 2]]
 """Places in triples (11, 12, 22) of the components of their tensors."""
 ROUNDING = 1e-9
@@ -89,7 +91,7 @@ def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
         raise NotConverged(
             f"the curtain at rest ended as {solution.status}, so that it has no modes: {solution.message}"
         )
-    in_space, exact = solution.problem.fem.d == 3, EXACT[solution.problem.fem.d]
+    in_space = solution.problem.fem.d == 3
     T = solution.problem.fem.T if in_space else _across(solution)
     K, M, lumped = (sparse.csc_matrix(T.T @ sparse.kron(A, sparse.eye(3)) @ T) for A in _of_one_component(solution))
     n = M.shape[0]
@@ -113,13 +115,14 @@ def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
         shapes = (T @ shape).T.reshape(-1, solution.problem.disc.n_nodes, 3)
         blocks = np.split(shapes, range(BLOCK, len(shapes), BLOCK))
         rough = np.concatenate([_roughness(solution, block) for block in blocks])
-        is_smooth = rough < SMOOTH
-        frequency = np.sqrt(square * (1.0 - np.where(is_smooth, rough, 0.0))) / (2.0 * np.pi)
-        first, multiplicity = _distinct(frequency, is_smooth, ratio > RESOLVED, exact)
-        if len(first) > number or asked == last:
+        frequency = np.sqrt(square) / (2.0 * np.pi)
+        groups = _distinct(frequency, rough, ratio > RESOLVED, 3 if in_space else 2)
+        if len(groups) > number or asked == last:
             break
         asked = min(last, 2 * asked)
-    first, multiplicity = first[:number], multiplicity[:number]
+    groups = groups[:number]
+    first, multiplicity = [one[0] for one in groups], np.array([len(one) for one in groups], int)
+    frequency = frequency * np.sqrt(np.where(rough < SMOOTH, 1.0 - rough, 1.0))
     if not len(first):
         raise InputError(
             f"number = {number}: this mesh tells no mode: the {last} lowest shapes are slack or change from node to "
@@ -136,22 +139,23 @@ def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
     return Modes(frequency, multiplicity, shapes, solution, left_out)
 
 
-def _distinct(frequency: Array, is_smooth: np.ndarray, kept: np.ndarray, exact: float) -> tuple[np.ndarray, np.ndarray]:
-    """Which of the frequencies that are kept are distinct, ascending, and how many share each.
+def _distinct(frequency: Array, rough: Array, kept: np.ndarray, d: int) -> list[list[int]]:
+    """The shapes of each distinct frequency, ascending, the smoothest first; those that are not `kept` are none.
 
-    Smooth shapes tell theirs apart, rough ones count to those beside them.
+    A rough shape counts to a smoother one whose frequency it may have: less by up to `DOUBT`, or, as line loads differ
+    from cell to cell, more by up to the root of 1 - roughness.
     """
-    which = np.flatnonzero(kept)
-    lead: list[int] = []
-    of: dict[int, int] = {}
-    for k in which[np.lexsort((frequency[which], ~is_smooth[which]))].tolist():
-        others = lead if is_smooth[k] else list(of)
-        away = np.abs(frequency[k] / frequency[others] - 1.0)
-        is_new = not others or away.min() > (exact if is_smooth[k] else ALIKE)
-        of[k] = k if is_new else of[others[int(away.argmin())]]
-        lead += [k] if is_new else []
-    lead.sort(key=lambda k: float(frequency[k]))
-    return np.array(lead, int), np.array([list(of.values()).count(k) for k in lead], int)
+    groups: list[list[int]] = []
+    known = np.maximum(1.0 - rough, 1e-9)
+    best = frequency * np.where(rough < SMOOTH, np.sqrt(known), 1.0)
+    for k in sorted(np.flatnonzero(kept).tolist(), key=lambda k: float(rough[k])):
+        lead = best[[one[0] for one in groups]] / frequency[k]
+        far = np.abs(np.log(lead)) + np.log(known[k]) * np.where(lead < 1.0, DOUBT[d], 0.5)
+        if len(groups) and far.min() <= EXACT[d]:
+            groups[int(np.abs(lead - 1.0).argmin())].append(k)
+        else:
+            groups.append([k])
+    return sorted(groups, key=lambda one: float(best[one[0]]))
 
 
 def _pendulum(solution: CurtainSolution) -> float:
@@ -216,15 +220,22 @@ def _carries(solution: CurtainSolution) -> np.ndarray:
 
 
 def _constraints(solution: CurtainSolution, T: sparse.csc_matrix) -> sparse.csr_matrix:
-    """Rows S:(F^T grad w) of the points that carry load, on the unknowns, each of length 1 on the nodes."""
-    disc, F, S, q = solution.problem.disc, solution.F, solution.S, np.flatnonzero(_carries(solution))
-    P = F[q] @ S[q][:, SQUARE]
-    values = np.einsum("naB,nkB->nka", P, disc.grad[q])
-    values = values / np.sqrt((values**2).sum(axis=(1, 2)))[:, None, None]
-    column = 3 * disc.cell_dofs[q][:, :, None] + np.arange(3)
-    row = np.broadcast_to(np.arange(len(q))[:, None, None], column.shape)
-    shape = (len(q), 3 * disc.n_nodes)
-    return sparse.csr_matrix((values.ravel(), (row.ravel(), column.ravel())), shape=shape) @ T
+    """Rows P:grad w, of line loads P = F S averaged over neighbours and summed at the nodes, on the unknowns, each of
+    length 1.
+
+    Of the points alone there are more than unknowns, and line loads that differ from cell to cell lock them.
+    """
+    disc, P = solution.problem.disc, solution.F @ np.where(_carries(solution)[:, None], solution.S, 0.0)[:, SQUARE]
+    P = recovered(solution.problem.mesh.mesh.t.T, disc.cell_mean(P), disc.cell_area) * disc.cell_area[:, None, None]
+    values = np.einsum("naB,nkB->nka", P, disc.grad[: disc.n_cells])
+    values = np.repeat(values[:, None], disc.cell_dofs.shape[1], axis=1)
+    row = np.broadcast_to(disc.cell_dofs[:, :, None, None], values.shape)
+    column = np.broadcast_to(3 * disc.cell_dofs[:, None, :, None] + np.arange(3), values.shape)
+    shape = (disc.n_nodes, 3 * disc.n_nodes)
+    C = sparse.csr_matrix((values.ravel(), (row.ravel(), column.ravel())), shape=shape)
+    length = sparse.linalg.norm(C, axis=1)
+    which = np.flatnonzero(length > CARRIES * length.max(initial=0.0))
+    return sparse.csr_matrix(sparse.diags(1.0 / length[which]) @ C[which] @ T)
 
 
 def _solver(A: sparse.spmatrix, C: sparse.spmatrix) -> Callable[[Array], Array]:
@@ -242,7 +253,7 @@ def run_modes(
     """Find natural frequencies of the scene in a file, write modes.json, modes.vtu and modes.png; the summary.
 
     Line loads are those of elastic rings where rigid ones leave them open. InputError in one sentence for what cannot
-    be read or told, NotConverged where the curtain at rest is none.
+    be read or told, NotConverged where the curtain at rest is none, NotDrawn, with all else in place, for the picture.
     """
     Pictures(picture, stem="modes").check(in_space=True)
     scene, law, inputs = read_job(scene_path, law_path, out, RECORD)
@@ -252,6 +263,8 @@ def run_modes(
         "frequencies_Hz": modes.frequencies_Hz.tolist(),
         "multiplicity": modes.multiplicity.tolist(),
         "left_out": modes.left_out + ("; the partial factors of [[combination]]" if scene.combination else ""),
+        "loads": loads_in_words(problem.scene),
+        "time_s": None if scene.motion is None else 0.0,
         "forces_by": forces_by(found),
         "cells": problem.disc.n_cells,
         "notes": list(problem.mesh.notes),
@@ -260,23 +273,27 @@ def run_modes(
         "versions": versions("scikit-fem", "scikit-sparse"),
     }
     with job(out, RECORD, summary, inputs) as folder:
-        write_shapes(folder, modes, picture=picture)
+        write_shapes(folder / "modes.vtu", modes)
+    draw_all(out, RECORD, summary, {"modes.png": lambda path: draw_shapes(path, modes)} if picture else {}, inputs)
     return summary
 
 
-def write_shapes(folder: Path, modes: Modes, *, picture: bool) -> None:
-    """modes.vtu, each shape as point data `shape_1_FREQUENCY_Hz` and so on, on the curtain at rest; with `picture`
-    modes.png, the shapes side by side, each at `SHOWN` of the size of the curtain."""
+def write_shapes(path: Path, modes: Modes) -> None:
+    """Each shape as point data `shape_1_FREQUENCY_Hz` and so on, on the curtain at rest, as VTU."""
     import meshio
 
+    mesh, rest = modes.solution.problem.mesh.mesh, padded(modes.solution.corners)
+    names = [f"shape_{k}_{one:.5g}_Hz" for k, one in enumerate(modes.frequencies_Hz, 1)]
+    fields = dict(zip(names, modes.shapes[:, : len(rest)], strict=True))
+    cells = [("triangle", counterclockwise(mesh.p.T, mesh.t.T))]
+    write_mesh_file(path, meshio.Mesh(rest, cells, point_data=fields))
+
+
+def draw_shapes(path: Path, modes: Modes) -> None:
+    """The shapes side by side, each at `SHOWN` of the size of the curtain, as PNG."""
     problem, rest = modes.solution.problem, padded(modes.solution.corners)
     cells = counterclockwise(problem.mesh.mesh.p.T, problem.mesh.mesh.t.T)
-    shapes = [shape[: len(rest)] for shape in modes.shapes]
-    names = [f"shape_{k}_{one:.5g}_Hz" for k, one in enumerate(modes.frequencies_Hz, 1)]
-    fields = dict(zip(names, shapes, strict=True))
-    write_mesh_file(folder / "modes.vtu", meshio.Mesh(rest, [("triangle", cells)], point_data=fields))
-    if not picture:
-        return
+    shapes = modes.shapes[:, : len(rest)]
     plotter, scale = new_plotter(len(shapes)), Scale("displacement over the largest", 0.0, 1.0, 1.0)
     for panel, shape in enumerate(shapes):
         plotter.subplot(0, panel)
@@ -288,4 +305,4 @@ def write_shapes(folder: Path, modes: Modes, *, picture: bool) -> None:
         look(plotter, THREE_QUARTERS)
     each = zip(modes.frequencies_Hz, modes.multiplicity, strict=True)
     words = (f"{one:.3g} Hz ({count} modes)" if count > 1 else f"{one:.3g} Hz" for one, count in each)
-    save_picture(folder / "modes.png", plotter, ", ".join(words))
+    save_picture(path, plotter, ", ".join(words))

@@ -2,7 +2,7 @@
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
@@ -10,11 +10,11 @@ from typing import Any, Generic, Literal, TypeVar
 import numpy as np
 
 from macro_fem.motion.stage import let_go, scene_at
-from macro_fem.motion.step import Account, Moment, kinetic_energy, predicted
+from macro_fem.motion.step import Account, Forces, Moment, kinetic_energy, predicted
 from macro_fem.output.images import Draw
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.tables import Timed
+from macro_fem.scene.tables import LiveLoad, Timed
 from rve.common import Array, tell
 
 COLUMNS = (
@@ -50,8 +50,8 @@ class Failed(Exception):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Frame(ABC):
-    """What a run knows of a moment: places and velocities, the energy account, and of its step the `rebound` in N mm
-    and how many iterations it took.
+    """What a run knows of a moment: places and velocities, the energy account, and of its step the forces at its end,
+    gain, late work and rebound in N mm (`TimeStep.finish`), and how many iterations it took.
 
     How it goes on: the next step `h`, s, and whether that is Euler's, as at the start; the moment before its own, None
     at the start; `most`, the largest kinetic energy so far, N mm.
@@ -59,6 +59,9 @@ class Frame(ABC):
 
     moment: Moment
     account: Account
+    forces: Forces | None = None
+    gain: float = 0.0
+    late: float = 0.0
     rebound: float = 0.0
     iterations: int = 0
     h: float = 0.0
@@ -163,26 +166,29 @@ class Mover(ABC, Generic[F, A]):
             self.acting = self.act(t)
         return self.acting
 
-    def solve(self, start: F | None = None) -> Run[F]:
+    def solve(self, start: F | None = None, take: Callable[[F], object] | None = None) -> Run[F]:
         """The scene over its duration, from its beginning or from a frame of a run before.
 
-        InputError for what cannot begin, NotConverged if what it begins with at rest is no answer. A step that fails
-        ends the run with a status; the frames so far are kept, as they are when Ctrl-C stops it.
+        take: is given each frame as soon as it is known, instead of the run. InputError for what cannot begin,
+        NotConverged if what it begins with at rest is no answer. A step that fails ends the run with a status; the
+        frames so far are kept, as they are when Ctrl-C stops it.
         """
-        begin, kept = time.perf_counter(), list[F]()
+        begin, kept, t = time.perf_counter(), list[F](), -1.0
+        take = kept.append if take is None else take
         status: End = "converged"
         message = "every step is solved"
         if late := [one for one in self.scene.support if (one.release or 0.0) >= self.motion.duration]:
             message += f"; {late[0].where} release = {late[0].release:g}: is not reached"
         try:
             for frame in self.frames(start):
-                kept.append(frame)
+                take(frame)
+                t = frame.moment.t
         except Failed as failed:
             status, message = failed.status, str(failed)
         except KeyboardInterrupt:
-            if not kept:
+            if t < 0.0:
                 raise
-            status, message = "stopped", f"stopped after {kept[-1].moment.t:.6g} s; the steps so far are kept"
+            status, message = "stopped", f"stopped after {t:.6g} s; the steps so far are kept"
         return Run(tuple(kept), status, message, time.perf_counter() - begin)
 
     def frames(self, start: F | None = None) -> Iterator[F]:
@@ -219,7 +225,7 @@ class Mover(ABC, Generic[F, A]):
             after = motion.step or h
             if motion.step is None:
                 guess = predicted(now, frame.last, h)
-                away = np.sqrt(((following.moment.x - guess) ** 2).sum(axis=1).mean()) / self.size
+                away = np.sqrt(((following.moment.x - guess.x) ** 2).sum(axis=1).mean()) / self.size
                 factor = SAFETY * (motion.accuracy / max(away, 1e-300)) ** (1.0 / 3.0)
                 if away > motion.accuracy and h > least:
                     h = max(least, h * min(0.5, max(LEAST_CHANGE, factor)))
@@ -249,10 +255,11 @@ class Mover(ABC, Generic[F, A]):
 
         In smooth motion on the locked surface the loss by locking, of order h^2, and the gain of the scheme cancel to
         h^3. An impact keeps part of its loss, and differences over it would make what locks or touches rebound, which
-        shows in a gain: Euler's step takes its place, and the next step is Euler's as well. What sets off at once while
-        it touches or is taut closes no gap: there the loss of the scheme tells. What has met something just before, or
-        in a step of Euler's, closes none either and rebounds with a loss: there its `rebound` tells. Of Euler's own
-        steps, which always lose, that counts in which nearly all motion begins.
+        shows in a gain by contacts or the law: Euler's step takes its place, and the next step is Euler's as well. So
+        it does over kinks of histories, where loads that end throw ahead. What sets off at once while it touches or is
+        taut closes no gap: there the loss of the scheme tells. What has met something just before, or in a step of
+        Euler's, closes none either and rebounds with a loss: there its `rebound` tells. Of Euler's own steps, which
+        always lose, that counts in which nearly all motion begins.
         """
         most, kinetic = start.most, end.account.kinetic
         locking = end.account.lost_by_locking - start.account.lost_by_locking
@@ -261,9 +268,10 @@ class Mover(ABC, Generic[F, A]):
         if before is None:
             begins = max(most, start.account.kinetic) < LEAST_IMPACT * kinetic
             return begins and locking > LEAST_IMPACT * kinetic and lost > IMPACT * locking
+        since, until = before.t - self.near, end.moment.t - self.near
+        over = [item for item in self.scene.of(Timed) if any(since <= t < until for t, _ in item.history)]
         is_lost = locking > LEAST_IMPACT * most and lost > IMPACT * locking
-        kinks = (t for item in (*self.scene.support, *self.scene.obstacle) for t, _ in item.history)
-        has_kink = any(before.t - self.near <= t < end.moment.t - self.near for t in kinks)
-        is_jump = scheme > LEAST_IMPACT * max(most, kinetic) and has_kink
-        is_back = end.rebound > LEAST_IMPACT * most
-        return is_lost or is_jump or is_back or lost < -GAIN * most
+        is_jump = scheme > LEAST_IMPACT * max(most, kinetic) and not all(isinstance(one, LiveLoad) for one in over)
+        is_thrown = end.late - lost > GAIN * most and bool(over)
+        is_back = end.rebound > LEAST_IMPACT * most or min(end.gain, -lost) > GAIN * most
+        return is_lost or is_jump or is_thrown or is_back

@@ -15,12 +15,13 @@ import numpy as np
 
 from macro_fem.motion.pace import End, Failed, Frame, Mover
 from macro_fem.motion.stage import TONNE, relative_wind, scene_at
-from macro_fem.motion.step import Account, Moment, StepEnd, TimeStep
+from macro_fem.motion.step import Account, Moment, StepEnd, TimeStep, predicted
 from macro_fem.output.images import Draw
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
-from macro_fem.scene.loads import PER_MM2, areal_mass
+from macro_fem.scene.loads import BREEZE, PER_MM2, areal_mass
 from macro_fem.scene.scene import Scene
+from macro_fem.solvers.path import times
 from rve import FiniteSolution, HalfSpace, RoundBody, ring_places, slack_rings, step_rings, with_bodies
 from rve.common import Array, NotConverged, digits
 
@@ -95,7 +96,9 @@ class MovingRings(Mover[RingFrame, RingScene]):
         where = "[motion] start = 'reference'"
         if asked.scene.in_space and not self.who.space:
             scene.refuse(f"{asked.scene.space_reason}: centres cannot stay there")
-        rings = slack_rings(asked.mesh, space=self.who.space, walls=asked.walls)
+        rings, start = slack_rings(asked.mesh, space=self.who.space, walls=asked.walls), scene.start
+        if start is not None:
+            rings = with_bodies(replace(rings, centre=start.places(rings.centre), normal=rings.normal @ start.axes), ())
         away = float(np.abs(np.where(asked.held, asked.at - rings.centre, 0.0)).max(initial=0.0))
         if away > NEAR * asked.mesh.cell.r1:
             off = f"{digits(away, 4)} mm from where they are in the slack weave"
@@ -116,17 +119,23 @@ class MovingRings(Mover[RingFrame, RingScene]):
     def next_frame(self, frame: RingFrame, before: Moment | None, h: float) -> RingFrame:
         now, asked = frame.moment, self.at(frame.moment.t + h)
         mass, n, dead = self.masses(asked), len(asked.mass), self.weights(asked)
-        force = asked.force.copy()
+        force, slows, ahead = asked.force.copy(), np.zeros(len(mass)), predicted(now, before, h).v[:n]
         for wind, blown in asked.winds:
-            own, block = relative_wind(wind, blown, now.v[:n])
-            force += own - (block @ now.v[:n, :, None])[:, :, 0] - (0.0 if wind.speed == 0.0 else blown)
+            assert wind.speed is not None  # see `ring_scene`
+            own, block = relative_wind(wind, blown, now.v[:n], ahead)
+            slow = np.trace(
+                block, axis1=1, axis2=2
+            )  # one number for each ring: across the wind `ahead` makes up for it
+            force += own - times(block, ahead) + slow[:, None] * ahead - (wind.speed / BREEZE) ** 2 * blown
+            slows[:n] += slow
         none = np.zeros((len(mass) - n, 3))
         resist = np.where(np.arange(len(mass)) < 2 * n, self.motion.damping, 0.0)  # not of balls
-        step = TimeStep(now, before, h, mass, dead, np.concatenate([force - dead[:n], none]), None, resist)
+        live, drag = np.concatenate([force - dead[:n], none]), slows[:, None, None] * np.eye(3)
+        step = TimeStep(now, before, h, mass, dead, live, drag, resist)
         beta_h, X, _ = step.differences
-        damped = beta_h * resist[:, None]
-        weight = mass * (1.0 + damped[:, 0]) / beta_h**2
-        aim = (step.x_hat + damped * X) / (1.0 + damped)
+        slowed = beta_h * (resist + slows / mass)[:, None]
+        weight = mass * (1.0 + slowed[:, 0]) / beta_h**2
+        aim = (step.x_hat + slowed * X) / (1.0 + slowed)
         end = step_rings(frame.rings, weight, aim, force, asked.held, asked.at, walls=(*asked.walls, *self.bodies))
         rings = end.rings
         if rings.status != "converged":
@@ -134,12 +143,12 @@ class MovingRings(Mover[RingFrame, RingScene]):
             status: End = "infeasible" if rings.way_left_mm > 0.0 else "stalled"
             raise Failed(status, f"{words}: use another step")
         self._check_balls(rings, now.t + h)
-        way = [new.offset - old.offset for new, old in zip(asked.walls, frame.asked.walls, strict=True)]
-        pushed = zip(rings.wall_force, asked.walls, way, strict=False)
-        moved = sum(float(push @ wall.unit) * d for push, wall, d in pushed)
+        moves = np.array([new.offset - old.offset for new, old in zip(asked.walls, frame.asked.walls, strict=True)])
+        pushed = np.array([push @ wall.unit for push, wall in zip(rings.wall_force, asked.walls, strict=False)])
         supports = np.concatenate([rings.reaction, none])
-        told = StepEnd(ring_places(rings), supports, end.pushes, moved=moved, touched=end.touched)
-        return RingFrame(**step.finish(frame.account, told), iterations=rings.iterations, rings=rings, asked=asked)
+        told = StepEnd(ring_places(rings), supports, end.pushes, pushed=pushed, moves=moves, touched=end.touched)
+        done = step.finish(frame.account, told, frame.forces)
+        return RingFrame(**done, iterations=rings.iterations, rings=rings, asked=asked)
 
     def _check_balls(self, rings: FiniteSolution, t: float) -> None:
         """Failed where a ball would meet what balls beside a curtain by a law meet, and those beside rings do not."""

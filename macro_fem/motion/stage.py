@@ -8,7 +8,7 @@ from scipy import sparse
 
 from macro_fem.drag import wind_density
 from macro_fem.fem.assembly import load_vector
-from macro_fem.motion.step import Moment, TimeStep
+from macro_fem.motion.step import Moment, TimeStep, predicted
 from macro_fem.problem import CurtainProblem, kept_outside, placed_obstacles, tangent_walls, touching_walls
 from macro_fem.scene.loads import BREEZE, PER_MM2, areal_mass, bar_masses, breeze, nodal_forces
 from macro_fem.scene.moving import Ball, at_time
@@ -73,41 +73,44 @@ def step_of(
     live[:n] = problem.dead - dead[:n]
     if problem.winds:
         drag = np.zeros((len(dead), 3, 3))
-        blown, drag[:n] = winds_at(problem, now)
+        blown, drag[:n] = winds_at(problem, now.v, predicted(now, before, h))
         live[:n] += blown
     resist = np.where(np.arange(len(dead)) < n, damping, 0.0)  # not of bodies
     return TimeStep(now, before, h, masses_of(problem, balls), dead, live, drag, resist)
 
 
-def winds_at(problem: CurtainProblem, now: Moment) -> tuple[Array, Array]:
-    """Forces (n_nodes, 3) of winds on the present shape by the velocity relative to the mesh, and their blocks, see
-    `relative_wind`."""
+def winds_at(problem: CurtainProblem, v: Array, ahead: Moment) -> tuple[Array, Array]:
+    """Forces (n_nodes, 3) of winds on the shape of the moment `ahead` by the velocity relative to the mesh, and their
+    blocks, see `relative_wind`; v: the last velocities of nodes and bodies."""
     n = problem.disc.n_nodes
     force, blocks = np.zeros((n, 3)), np.zeros((n, 3, 3))
     for wind in problem.winds:
         one = replace(problem, winds=(breeze(wind),))
-        pressed = load_vector(problem.exact, wind_density(one, now.x[:n]))
-        own, block = relative_wind(wind, pressed, now.v[:n])
+        pressed = load_vector(problem.exact, wind_density(one, ahead.x[:n]))
+        own, block = relative_wind(wind, pressed, v[:n], ahead.v[:n])
         force += own
         blocks += block
     return force, blocks
 
 
-def relative_wind(wind: Wind, force: Array, v: Array) -> tuple[Array, Array]:
-    """The force (n, 3) of a wind on still nodes, and the blocks C (n, 3, 3) of -C v that the velocity relative to the
-    wind adds: (U - v.w) |U - v_n.w| / W^2 of the `force` (n, 3) of `breeze(wind)`, with the speed U along w, W that of
-    the breeze, and the last velocities v_n.
+def relative_wind(wind: Wind, force: Array, v: Array, ahead: Array) -> tuple[Array, Array]:
+    """The force (n, 3) F of a wind less C v+, by the velocity relative to it, and the blocks C (n, 3, 3), >= 0.
 
-    Of wind that follows, whose force is not along w, the last velocities count alone.
+    It is e |e| / W^2 of the `force` (n, 3) of `breeze(wind)`, which has the speed W, with e = U - v+.w of the speed U
+    along w: in v+ the part along the force is linear about the last velocities v, e |e| = |e_n| (2 e - e_n), which
+    settles however stiff the drag is; the part across it is that of velocities `ahead` (n, 3).
     """
-    none = np.zeros((len(force), 3, 3))
     if wind.speed is None:
-        return force, none
-    U, W, w = 1e3 * wind.speed, 1e3 * (wind.speed or BREEZE), unit(wind.direction)
-    share = np.abs(U - v @ w) / W
-    if wind.follows:
-        return (share * (U - v @ w) / W)[:, None] * force, none
-    return (share * U / W)[:, None] * force, (share / W)[:, None, None] * force[:, :, None] * w
+        return force, np.zeros((len(force), 3, 3))
+    U, W, w = 1e3 * wind.speed, 1e3 * BREEZE, unit(wind.direction)
+    size = np.linalg.norm(force, axis=1)
+    way = force / np.maximum(size, 1e-300)[:, None]
+    share = np.maximum(way @ w, 0.0)
+    across = U - ahead @ w + share * (ahead * way).sum(axis=1)
+    last = across - share * (v * way).sum(axis=1)
+    slope = 2.0 * np.abs(last) / W**2
+    own = (slope * (across - 0.5 * last))[:, None] * force
+    return own, (slope * size * share)[:, None, None] * way[:, :, None] * way[:, None, :]
 
 
 class Contacts:
@@ -172,22 +175,27 @@ class Contacts:
         deep = (one.deepest(at @ start[:n] + way, at @ end[:n]) / one.obstacle.breadth for one, way, at in points)
         return max(deep, default=0.0)
 
-    def check_start(self, x: Array) -> None:
-        """InputError for a ball that the curtain, an obstacle or another ball is inside of."""
-        met = [(f" {ball.name}: the curtain", deep) for ball, deep in zip(self.balls, self.depths(x), strict=True)]
-        met += [
-            (": an obstacle or another body", -walls.gap(x).min(initial=0.0)) for walls in self._between(x[self.n :])
-        ]
+    def check_start(self, x: Array, is_hung: bool) -> None:
+        """InputError for a ball that the curtain, an obstacle or another ball is inside of, and for an obstacle that
+        the curtain is inside of, unless it is hung, which keeps it outside."""
+        named = zip(self.balls, self.depths(x), strict=True)
+        met = [(f"[[body]] {ball.name}: the curtain", deep) for ball, deep in named]
+        words = "[[body]]: an obstacle or another body"
+        met += [(words, -float(walls.gap(x).min(initial=0.0))) for walls in self._between(x[self.n :])]
+        for one in () if is_hung else self.obstacles:
+            deep = -float(one.gap(kept_outside(one, self.problem.fem) @ x[: self.n]).min())
+            met.append((f"[obstacle] {one.obstacle.name}: the curtain", deep))
         for words, deep in met:
             if deep > TOUCHED * self.problem.mesh.size:
                 self.problem.scene.refuse(
-                    f"[[body]]{words} is {digits(deep, 4)} mm inside it at the start; put it farther away"
+                    f"{words} is {digits(deep, 4)} mm inside it at the start; put it farther away"
                 )
 
-    def work(self, walls: Walls, force: Array, x: Array) -> tuple[float, float]:
-        """Pushes `force` (m,) of tangent half-spaces times the moves of obstacles along them, and times the gaps at the
-        start x (n, d), N mm."""
-        moved, touched = 0.0, 0.0
+    def work(self, walls: Walls, force: Array, x: Array) -> tuple[Array, Array, float]:
+        """Pushes `force` (m,) of tangent half-spaces: the sum of those of each obstacle (k, 3) in N, its move (k, 3) in
+        mm, and pushes times the gaps at the start x (n, d), N mm."""
+        pushed, touched = np.zeros((len(self.obstacles), 3)), 0.0
+        moves = np.array([new.shift - old.shift for new, old in zip(self.obstacles, self.old, strict=True)])
         for number in np.unique(walls.owner):
             which = np.flatnonzero(walls.owner == number)
             own, push = walls.take(which), force[which]
@@ -195,10 +203,11 @@ class Contacts:
                 touched += float(push @ (np.linalg.norm(own.at @ x, axis=1) - own.offset))
                 continue
             old, new = self.old[number], self.obstacles[number]
-            offset = new.offset(own.normal)  # less than a ball's by its radius
-            moved += float(push @ (offset - old.offset(own.normal)))
-            touched += float(push @ (old.gap(own.at @ x) - (own.offset - offset)))
-        return moved, touched
+            pushed[number, : own.normal.shape[1]] = push @ own.normal
+            touched += float(
+                push @ (old.gap(own.at @ x) - (own.offset - new.offset(own.normal)))
+            )  # less a ball's radius
+        return pushed, moves.reshape(-1, 3), touched
 
 
 def pushed_points(solution: CurtainSolution, carries: float) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:

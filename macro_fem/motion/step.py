@@ -19,16 +19,20 @@ With dx = x+ - x_n and M a+ = f + supports + pushes - B^T (w P+) - damping M v+ 
 
     kinetic + potential + stored  changes by  work - lost_by_scheme - lost_by_locking - lost_by_damping,
 
-    work     = (live loads + supports).dx + pushes along the moves of obstacles,
+    work     = (live loads + supports).dx + pushes along the moves of obstacles, of forces at the end of the step for
+               Euler's and of the mean of those at both ends for BDF2,
     locking  = sum w P+:(F+ - F_n) of the rigid law, >= 0 because F_n is admissible and P+ an outward normal at F+, and
                pushes times the gaps at x_n, >= 0 as well: tautening and touching are plastic impacts,
-    damping  = h damping v+.M v+,
-    scheme   = dx.M a+ - (v+.M v+ - v_n.M v_n) / 2, which is |v+ - v_n|^2_M / 2 for Euler's; of the damping what is not
-               in its own loss; what pushes do because tangents of round bodies turn; and of the elastic law
-               sum w P+:(F+ - F_n) - (Psi+ - Psi_n), which is >= 0.
+    damping  = damping dx.M dx / h,
+    scheme   = dx.M a+ - (v+.M v+ - v_n.M v_n) / 2, which is |v+ - v_n|^2_M / 2 for Euler's; of the damping and the work
+               what forces at the end of the step do beyond them; what pushes do because tangents of round bodies turn;
+               and of the elastic law sum w P+:(F+ - F_n) - (Psi+ - Psi_n), which is >= 0.
 
-Every term comes from its own formula, so their sum closes only as far as the step was solved.
+Every term comes from its own formula, so their sum closes only as far as the step was solved. In smooth motion BDF2
+loses h^3 by scheme and locking together, since work and damping are of second order: more is an impact or a rebound.
 """
+
+from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -56,10 +60,10 @@ class Moment:
     v: Array
 
 
-def predicted(now: Moment, before: Moment | None, h: float) -> Array:
-    """Positions (n, d) after a step h at the last acceleration, mm: x+ differs from them by a third power of h."""
+def predicted(now: Moment, before: Moment | None, h: float) -> Moment:
+    """The moment after a step h at the last acceleration: x+ differs from its x by a third power of h, v+ by h^2."""
     a = np.zeros_like(now.v) if before is None else (now.v - before.v) / (now.t - before.t)
-    return now.x + h * now.v + 0.5 * h * h * a
+    return Moment(now.t + h, now.x + h * now.v + 0.5 * h * h * a, now.v + h * a)
 
 
 @dataclass(frozen=True)
@@ -85,8 +89,8 @@ class StepEnd:
     """What a step ends in: positions x (n, d) in mm, forces (n, d) in N, and what they and the law have done, N mm.
 
     supports, pushes: of supports and of contacts; inner: B^T (w P+) of the law, which resists. stored: Psi+ of an
-    elastic law, None of a rigid one; moved: pushes times the moves of obstacles along them; touched: pushes times the
-    gaps at x_n.
+    elastic law, None of a rigid one; pushed, moves: what obstacles push with, and their moves along it, of any one
+    shape; touched: pushes times the gaps at x_n.
     """
 
     x: Array
@@ -94,8 +98,24 @@ class StepEnd:
     pushes: Array
     inner: Array | float = 0.0
     stored: float | None = None
-    moved: float = 0.0
+    pushed: Array | float = 0.0
+    moves: Array | float = 0.0
     touched: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Forces:
+    """Forces at the end of a step: outer (n, d) of loads but the weight, and of supports; push (n, d) of contacts and
+    of a rigid law; pushed: of each obstacle, of any shape."""
+
+    outer: Array
+    push: Array
+    pushed: Array
+
+    def mean(self, other: Forces) -> Forces:
+        """Halfway between these and others."""
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Forces(*(0.5 * (one + two) for one, two in pairs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,34 +189,47 @@ class TimeStep:
         momentum = b * float((self.mass[:, None] * np.abs(V)).sum())
         return Inertia(fem, W, x_hat, momentum, kinetic_energy(self.mass, V))
 
-    def finish(self, last: Account, end: StepEnd) -> dict[str, Any]:
-        """Of a frame the moment, the account and the rebound, given the account at the start of the step.
+    def finish(self, last: Account, end: StepEnd, before: Forces | None = None) -> dict[str, Any]:
+        """Of a frame the moment, the account, the forces, and what its step tells of impacts, given the account and the
+        forces at its start.
 
-        The rebound, in N mm, is what contacts and a rigid law would do in one more such step at the last velocities:
-        about 0 where what touches or is taut stays so, positive where it leaves while it is still pushed.
+        The gain, in N mm, is the work of contacts and a rigid law by the mean of their forces at both ends: about 0 in
+        smooth motion, positive where the differences throw back what has met something. The rebound is that in one
+        more such step at the last velocities: positive where what touches or is taut leaves while it is still pushed.
+        late: the work less that by forces at the end alone.
         """
         dx, v, is_rigid = end.x - self.now.x, self.velocity(end.x), end.stored is None
-        kinetic, damped = kinetic_energy(self.mass, v), self.h * float((self.resist * v * v).sum())
+        kinetic, damped = kinetic_energy(self.mass, v), float((self.resist * dx * dx).sum()) / self.h
         dashpot, inner = float((self.resist * v * dx).sum()), float((end.inner * dx).sum())
-        contact = end.moved - float((end.pushes * dx).sum())
+        push, pushed = end.pushes - (end.inner if is_rigid else 0.0), np.asarray(end.pushed)
+        forces = Forces(self.live_at(v) + end.supports, push, pushed)
+        mean = forces if self.before is None or before is None else forces.mean(before)
+        moved, moves = float((pushed * end.moves).sum()), float((mean.pushed * end.moves).sum())
+        late, work = float((forces.outer * dx).sum()) + moved, float((mean.outer * dx).sum()) + moves
         stored = 0.0 if end.stored is None else end.stored - last.stored
         account = Account(
             kinetic=kinetic,
             potential=last.potential - float((self.dead * dx).sum()),
             stored=last.stored + stored,
-            work=last.work + float(((self.live_at(v) + end.supports) * dx).sum()) + end.moved,
+            work=last.work + work,
             lost_by_scheme=last.lost_by_scheme
             + float((self.momentum_rate(end.x) * dx).sum())
             - (kinetic - kinetic_energy(self.mass, self.now.v))
             + (dashpot - damped)
-            + (contact - end.touched)
+            + (work - late)
+            + (moved - float((end.pushes * dx).sum()) - end.touched)
             + (0.0 if is_rigid else inner - stored),
             lost_by_locking=last.lost_by_locking + end.touched + (inner if is_rigid else 0.0),
             lost_by_damping=last.lost_by_damping + damped,
         )
-        push = end.pushes - (end.inner if is_rigid else 0.0)
-        rebound = self.h * float((push * v).sum()) - end.moved
-        return {"moment": Moment(self.now.t + self.h, end.x, v), "account": account, "rebound": rebound}
+        return {
+            "moment": Moment(self.now.t + self.h, end.x, v),
+            "account": account,
+            "forces": forces,
+            "gain": float((mean.push * dx).sum()) - moves,
+            "late": work - late,
+            "rebound": self.h * float((push * v).sum()) - moved,
+        }
 
 
 ROUNDS, SETTLED = 8, 1e-4

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from rve.common import atomic_path, tell
-from rve.common.drawing.plane import Scale
-from rve.common.drawing.space import new_plotter
+from rve.common.drawing.plane import Scale, as_typed
+from rve.common.drawing.space import UNLISTED, new_plotter
 from rve.common.optional import Figure, Plotter, PolyData
 
 Draw = Callable[[Plotter], Plotter]
@@ -42,15 +42,17 @@ def compose(plotter: Plotter, title: str) -> Figure:
     scales = {scale for *_, scale in shown.values() if scale is not None}
     for scale in scales:
         scale.add_bar(ax, location="bottom", shrink=0.5 if panels > 1 else 0.8, aspect=40, pad=0.01)
-    plain = {name: one for name, (*one, scale) in shown.items() if scale is None and not name.startswith("_")}
+    plain = {name: one for name, (*one, scale) in shown.items() if scale is None and name not in UNLISTED}
     marks = [
-        Line2D([], [], color=one.prop.color.float_rgb, lw=3 if mesh.n_lines else 9, solid_capstyle="butt", label=name)
-        for name, (mesh, one) in plain.items()
+        Line2D([], [], color=one.prop.color.float_rgb, lw=3 if mesh.n_lines else 9, solid_capstyle="butt")
+        for mesh, one in plain.values()
     ]
     if marks:
-        columns = 4 if panels > 1 else 2
-        figure.legend(handles=marks, loc="outside lower center", ncols=columns, frameon=False, fontsize=11)
-    return figure
+        columns, unnamed = 4 if panels > 1 else 2, ["part"] * len(marks)  # a label that begins with "_" is left out
+        legend = figure.legend(marks, unnamed, loc="outside lower center", ncols=columns, frameon=False, fontsize=11)
+        for text, name in zip(legend.get_texts(), plain, strict=True):
+            text.set_text(name)
+    return as_typed(figure)
 
 
 def save_picture(path: Path, plotter: Plotter, title: str) -> None:

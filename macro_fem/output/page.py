@@ -14,6 +14,7 @@ import numpy as np
 
 from macro_fem.output.images import parts
 from rve.common.drawing.plane import Scale
+from rve.common.drawing.space import UNLISTED
 from rve.common.errors import require
 from rve.common.files import AnyPath, write_text
 from rve.common.optional import Plotter
@@ -99,7 +100,8 @@ def _traces(plotter: Plotter) -> Iterator[dict[str, Any]]:
         points = np.asarray(mesh.points, np.float32)[at]
         if mesh.n_lines:
             points[k :: k + 1] = np.nan
-        trace |= dict(zip("xyz", points[:, AXES].T, strict=True)) | {"name": name, "showlegend": name[0] != "_"}
+        trace |= dict(zip("xyz", points[:, AXES].T, strict=True))
+        trace |= {"name": escape(name, quote=False), "showlegend": name not in UNLISTED}
         if scale is not None:
             colours = _colours(np.asarray(mesh[scale.label], np.float32)[at], scale, bool(mesh.n_lines))
             trace |= colours | ({"line": trace["line"] | colours["line"]} if mesh.n_lines else {})

@@ -1,6 +1,6 @@
 """Pictures of solved curtains; plot functions take a solution and axes, and return the axes."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,9 +15,21 @@ from macro_fem.output.images import in_turn, save_animation, save_panels
 from macro_fem.output.page import check_page, write_page
 from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution
-from rve.common import Array, InputError, check_out_file, digits, require
+from rve.common import (
+    AnyPath,
+    Array,
+    InputError,
+    NotDrawn,
+    check_out_file,
+    digits,
+    job,
+    noted_if_stopped,
+    require,
+    tell,
+)
 from rve.common.drawing import space
 from rve.common.drawing.plane import Scale, new_axes, new_figure, save_figure
+from rve.common.files import UNREADABLE
 from rve.common.optional import Axes, Figure
 
 NO_GIF = "leave out --animation"
@@ -61,23 +73,59 @@ class Pictures:
                 check_out_file(path, f"--{name}", inputs, (ending,))
 
 
-def write_pictures(folder: Path, steps: Sequence[CurtainSolution], wanted: Pictures) -> None:
-    """Write the wanted pictures of the load steps into `folder`."""
-    last = steps[-1]
-    picture = folder / f"{wanted.stem}.png"
-    if wanted.html:
-        write_curtain_page(folder / f"{wanted.stem}.html", last)
-    if wanted.picture and last.problem.scene.in_space:
+FAILURES = (*UNREADABLE, RuntimeError, ArithmeticError, AssertionError, ImportError, MemoryError)
+"""What libraries that draw raise, in the data, the system or themselves."""
+Drawings = dict[str, Callable[[Path], object]]
+"""How to make each picture of a result: a function that writes it to a path, by the name of its file."""
+
+
+def draw_all(
+    folder: str | Path, record_name: str, record: dict[str, Any], drawings: Drawings,
+    inputs: Sequence[AnyPath | None] = (),
+) -> None:  # fmt: skip
+    """Make pictures of a result whose data are in place in `folder`; files with a folder of their own go there.
+
+    NotDrawn, after all others are made, for those that fail.
+    """
+    failed: dict[str, Exception] = {}
+    for name, draw in drawings.items():
+        tell(f"drawing {name}")
+        try:
+            with noted_if_stopped(f"all but pictures and reports is in place in {folder}"):
+                if Path(name).name != name:
+                    draw(Path(name))
+                    continue
+                with job(folder, record_name, record, inputs, adds=True) as staged:
+                    draw(staged / name)
+        except FAILURES as error:  # cost this picture alone
+            failed[name] = error
+    if failed:
+        raise NotDrawn(failed, record) from next(iter(failed.values()))
+
+
+def curtain_drawings(steps: Sequence[CurtainSolution], wanted: Pictures) -> Drawings:
+    """How to draw the wanted pictures of the load steps."""
+    last, drawings = steps[-1], Drawings()
+
+    def draw_in_space(path: Path) -> None:
         both = [partial(space_view.draw_curtain, last, direction=way) for way in (space.FRONT, space.THREE_QUARTERS)]
-        save_panels(picture, both, space_view.title(last))
-    elif wanted.picture:
-        save_figure(picture, panels(last))
-    if wanted.animation:
+        save_panels(path, both, space_view.title(last))
+
+    def animate(path: Path) -> None:
         titles = [space_view.title(step).replace(" N, ", " N\n") for step in steps]
         shares = [f"{100.0 * step.problem.factor:.0f} % of live loads and moves, " for step in steps]
         titled = [share + words for share, words in zip(shares, titles, strict=True)]
-        moments = zip(titled, space_view.views(steps), strict=True)
-        save_animation(folder / f"{wanted.stem}.gif", in_turn(moments))
+        save_animation(path, in_turn(zip(titled, space_view.views(steps), strict=True)))
+
+    if wanted.html:
+        drawings[f"{wanted.stem}.html"] = lambda path: write_curtain_page(path, last)
+    if wanted.picture and last.problem.scene.in_space:
+        drawings[f"{wanted.stem}.png"] = draw_in_space
+    elif wanted.picture:
+        drawings[f"{wanted.stem}.png"] = lambda path: save_figure(path, panels(last))
+    if wanted.animation:
+        drawings[f"{wanted.stem}.gif"] = animate
+    return drawings
 
 
 def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:

@@ -1,6 +1,6 @@
 """A scene solved ring by ring: who is asked, the answer and its files; beside the homogenized membrane."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -12,7 +12,7 @@ from macro_fem.answer import Solution
 from macro_fem.output.files import rings as rings_of
 from macro_fem.output.forces import own_forces, support_forces
 from macro_fem.output.page import write_page
-from macro_fem.output.pictures import Pictures
+from macro_fem.output.pictures import Drawings, Pictures
 from macro_fem.output.told import components
 from macro_fem.rings.ring_scene import RingScene
 from macro_fem.solution import CurtainSolution
@@ -109,14 +109,15 @@ class EveryRingSolution(Solution):
             "start": self.start,
         }
 
-    def _write(self, staged: Path, wanted: Pictures) -> dict[str, Any]:
+    def drawings(self, wanted: Pictures) -> Drawings:
         if wanted.animation:
             raise InputError("animation: every ring is solved in one step, there is nothing to animate")
+        replace(wanted, stem="rings").check()
+        png: Drawings = {"rings.png": lambda path: save_figure(path, self.plot(new_axes(8.0, 8.0)).figure, dpi=200)}
+        return (png if wanted.picture else {}) | ({"rings.html": self.write_html} if wanted.html else {})
+
+    def _write(self, staged: Path) -> dict[str, Any]:
         self.found.write_vtu(staged / "rings.vtu")
-        if wanted.picture:
-            save_figure(staged / "rings.png", self.plot(new_axes(8.0, 8.0)).figure, dpi=200)
-        if wanted.html:
-            self.write_html(staged / "rings.html")
         return self.summary
 
     def plot(self, ax: Axes | None = None) -> Axes:

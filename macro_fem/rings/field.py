@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from macro_fem.fem.cells import padded
 from macro_fem.output.images import save_picture
 from macro_fem.output.page import write_page
-from macro_fem.output.pictures import Pictures
+from macro_fem.output.pictures import Drawings, Pictures, draw_all
 from macro_fem.rings.curtain import Curtain, Sites
 from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestPoses
 from rve.common import Array, Index, checked, csv_text, digits, job, versions, write_text
@@ -165,23 +165,25 @@ class RingField:
 
         `tubes`: write tori instead of centre lines; `stl`: rings.stl, the surfaces of the rings, for CAD and printing;
         `html`: rings.html, which turns in a browser; rings.png: all rings beside those around the cell with the largest
-        line load. All files appear together, and what they replace is gone (`rve.common.files`). InputError where they
-        cannot be written or would overwrite one of `inputs`, or if what a picture needs is missing.
+        line load. All but pictures appear together, and what they replace is gone (`rve.common.files`). InputError
+        where they cannot be written or would overwrite one of `inputs`, or if what a picture needs is missing;
+        NotDrawn, when all else is in place, for pictures that fail.
         """
         Pictures(picture, html=html, stem="rings").check(in_space=True)
+        inputs = list(inputs)
         with job(folder, RECORD, self.summary, inputs) as staged:
             self.drawn.write_vtu(staged / "rings.vtu", self.data, tubes=tubes)
             write_text(staged / "worst_cell.csv", self.worst.table())
             if stl:
                 self.drawn.write_stl(staged / "rings.stl")
-            if html:
-                self.write_html(staged / "rings.html")
-            if picture:
-                worst, reference = self.summary["worst_cell"], self.data["reference_mm"][:, :2]
-                at = int(np.argmin(((reference - worst["reference_mm"]) ** 2).sum(axis=1)))
-                plotter = self.draw_close_up(at, np.array(worst["normal"]))
-                save_picture(staged / "rings.png", plotter, self._title)
+        drawings: Drawings = {"rings.html": self.write_html} if html else {}
+        draw_all(folder, RECORD, self.summary, drawings | ({"rings.png": self._draw} if picture else {}), inputs)
         return self.summary
+
+    def _draw(self, path: Path) -> None:
+        worst, reference = self.summary["worst_cell"], self.data["reference_mm"][:, :2]
+        at = int(np.argmin(((reference - worst["reference_mm"]) ** 2).sum(axis=1)))
+        save_picture(path, self.draw_close_up(at, np.array(worst["normal"])), self._title)
 
     @property
     def _title(self) -> str:

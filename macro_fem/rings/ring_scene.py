@@ -47,8 +47,8 @@ class RingScene:
     groups: name of each support and the components (n, 3) of rings that it holds.
     mass (n,): in kg, with that of bars. walls: half-spaces that the rings stay out of. pins: rings held along
     directions in which the supports let the mesh slide, so that it does not; they carry no force. winds: those with a
-    speed, and the forces (n, 3) in N of `breeze`, part of `force` unless the speed is 0. notes: what of the scene was
-    changed to fit the rings. info: radii and reference cell of the rings.
+    speed, and the forces (n, 3) in N of their `breeze`; those of their speed are part of `force`. notes: what of the
+    scene was changed to fit the rings. info: radii and reference cell of the rings.
     """
 
     scene: Scene

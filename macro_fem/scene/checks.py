@@ -49,9 +49,10 @@ def _contradictions(scene: Scene) -> Iterator[str]:
                 yield f"{item.where} move = {list(move)}: has no effect along {axis}, as held = {held!r}"
         if held == "z" and not scene.in_space:
             yield f"{item.where} held = 'z': holds nothing, as the scene lies in the plane"
-    is_shaped = any(wind.follows for wind in scene.of(Wind)) or bool(scene.of(Body) and is_hung)
-    if scene.start is not None and not is_shaped:
-        yield "[start]: has no effect without bodies and following pressure"
+    is_laid = any(wind.follows for wind in scene.of(Wind)) or bool(scene.of(Body)) or not is_hung
+    if scene.start is not None and not is_laid:
+        let_go = "" if scene.motion is None else "; [motion] start = 'reference' begins there"
+        yield f"[start]: has no effect without bodies and following pressure{let_go}"
     is_live = [isinstance(item, LiveLoad) and not isinstance(item, Bar) for item in scene.items]
     changes = any(is_live) or any(any(getattr(item, "move", ())) for item in scene.items)
     if steps > 1 and not changes:

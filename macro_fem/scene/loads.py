@@ -34,7 +34,7 @@ AIR_DENSITY = 1.25
 SOLID = 4.0 / 3.0
 """C_D of a plate without holes."""
 BREEZE = 1.0
-"""m/s, the speed of `breeze` in still air; forces of moving nodes are this one's, scaled."""
+"""m/s, the speed of `breeze`; forces of moving nodes are this one's, scaled."""
 HALVINGS = 60
 """Halvings of the interval of u, after which it is known to rounding."""
 
@@ -147,8 +147,8 @@ def dynamic_pressure(wind: Wind) -> float:
 
 
 def breeze(wind: Wind) -> Wind:
-    """The wind, with the speed BREEZE in place of one that is 0 now, in whose still air the mesh moves."""
-    return wind if wind.speed is None else replace(wind, speed=wind.speed or BREEZE)
+    """The wind, with the speed BREEZE in place of its own."""
+    return wind if wind.speed is None else replace(wind, speed=BREEZE)
 
 
 def wind_pressure(wind: Wind, cell: CellInfo | None) -> float:

@@ -202,9 +202,15 @@ class Start(Typed):
         if abs(float(unit(self.x_axis) @ unit(self.y_axis))) > RIGHT_ANGLE:
             self.refuse(f"y_axis = {list(self.y_axis)}: is not at a right angle to x_axis")
 
+    @property
+    def axes(self) -> Array:
+        """Unit vectors (3, 3) along the sheet and normal to it, in rows."""
+        x, y = unit(self.x_axis), unit(self.y_axis)
+        return np.array([x, y, np.cross(x, y)])
+
     def places(self, X: Array) -> Array:
-        """Places (n, 3) of material points X (n, 2)."""
-        return np.asarray(np.array(self.origin) + X @ np.array([unit(self.x_axis), unit(self.y_axis)]))
+        """Places (n, 3) of material points X (n, 2), or beside the sheet (n, 3)."""
+        return np.asarray(np.array(self.origin) + X @ self.axes[: X.shape[1]])
 
 
 @dataclass(frozen=True)

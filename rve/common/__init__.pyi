@@ -3,6 +3,7 @@ from .arguments import checked as checked
 from .errors import SENTENCES as SENTENCES
 from .errors import InputError as InputError
 from .errors import NotConverged as NotConverged
+from .errors import NotDrawn as NotDrawn
 from .errors import noted_if_stopped as noted_if_stopped
 from .errors import require as require
 from .errors import shown as shown

@@ -25,6 +25,14 @@ class NotConverged(RuntimeError):
     """A single solve did not reach its tolerance; the message holds the status and its sentence."""
 
 
+class NotDrawn(RuntimeError):
+    """Pictures or reports of a result whose data are in place failed: why, by their names; and its record."""
+
+    def __init__(self, causes: dict[str, Exception], record: dict[str, Any]) -> None:
+        super().__init__("; ".join(f"{name} could not be made: {why}" for name, why in causes.items()))
+        self.causes, self.record = causes, record
+
+
 SENTENCES = {
     "stalled": "no equilibrium after all attempts; allow more iterations or attempts, or move the load by 0.01 degrees",
     "below": "another known state does more work under this load, and no equilibrium was reached from it; allow more "

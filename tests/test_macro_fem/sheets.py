@@ -7,8 +7,24 @@ from homogenize import default_law, with_material
 from macro_fem.curtain import solve_problem
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.problem import make_problem
+from macro_fem.scene.loads import drag_coefficient, ring_solidity
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import read_scene
+
+
+def fallen(t, damping=0.0, drag=0.0, g=9810.0):
+    """Way in mm of a free fall at t with a damping in 1/s or a quadratic drag in 1/mm, and the work of the damping in
+    N mm per N s2/mm."""
+    if drag:
+        return np.log(np.cosh(np.sqrt(g * drag) * t)) / drag, 0.0
+    c, once, twice = damping, np.exp(-damping * t), np.exp(-2.0 * damping * t)
+    return g / c * (t - (1.0 - once) / c), g**2 / c * (t - 2.0 * (1.0 - once) / c + 0.5 * (1.0 - twice) / c)
+
+
+def still_air():
+    """The quadratic drag of a flat sheet of the default law in still air, 1/mm."""
+    cell = default_law().cell
+    return 0.5e-3 * 1.25 * float(drag_coefficient(ring_solidity(cell))) / cell.areal_mass_kg_per_m2
 
 
 def sheet(width, height, cells, support, mesh=(), load=(), solver=(), **curtain):

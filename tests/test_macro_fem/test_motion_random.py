@@ -3,17 +3,21 @@
 import random
 from itertools import pairwise
 
+import meshio
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from homogenize import default_law
 from macro_fem.fem.assembly import gradient
+from macro_fem.fem.cells import counterclockwise
 from macro_fem.motion.curtain import MovingCurtain
 from macro_fem.motion.files import account_error
 from macro_fem.motion.stage import Contacts
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.cones import green_strain
+from tests.test_macro_fem.sheets import mesh_of
 
 LAW = default_law()
 
@@ -106,6 +110,62 @@ def test_300_large_steps_end_with_a_status(block):
         assert found.message
         if found.status == "converged":
             check(found, tables)
+
+
+def twin_of(tables, p, t, kind, rng):
+    """Tables, nodes (n, 2) and triangles of a scene that is the same but for a mirror, its numbers, its size or a turn
+    in plan; the turn (3, 3) and the size."""
+    turn, size = np.eye(3), rng.uniform(0.7, 3.0) if kind == "rescaled" else 1.0
+    if kind == "turned":
+        turn = Rotation.from_euler("y", rng.uniform(0.0, 6.0)).as_matrix()
+    if kind == "mirrored":
+        turn, t = np.diag([-1.0, 1.0, 1.0]), t[:, ::-1]
+    if kind == "renumbered":
+        order = rng.permutation(len(p))
+        p, t = p[order], np.roll(np.argsort(order)[t][rng.permutation(len(t))], 1, axis=1)
+    time, new = np.sqrt(size), {key: dict(value) for key, value in tables.items()}
+    new["motion"] |= {key: new["motion"][key] * time for key in ("step", "duration")}
+    new["motion"]["damping"] /= time
+    new["start"]["x_axis"] = (turn[:, 0] * (1.0 if kind != "mirrored" else -1.0)).tolist()
+    wind, ball = new["load"]["wind"], new["body"]
+    air = {"speed": wind["speed"] * time, "air_density": 1.25 / size, "direction": (turn @ wind["direction"]).tolist()}
+    new["load"] = {"wind": wind | air}
+    new["body"] = ball | {"radius": size * ball["radius"], "mass": size**2 * ball["mass"],
+                          "at": (size * turn @ ball["at"]).tolist(),
+                          "velocity": (time * turn @ ball["velocity"]).tolist()}  # fmt: skip
+    return new, size * p @ turn[:2, :2] if kind == "mirrored" else size * p, t, turn, size
+
+
+@pytest.mark.parametrize("kind", ["mirrored", "renumbered", "rescaled", "turned"])
+@pytest.mark.parametrize(
+    "count", [pytest.param(1, marks=pytest.mark.slow), pytest.param(25, marks=pytest.mark.release)]
+)
+def test_twins_of_a_motion_agree(kind, count, tmp_path):
+    """A sheet of triangles from a file, laid in space, blown at, struck and let go: mean places and energies."""
+    for seed in range(count):
+        chance, rng, ends = random.Random(seed), np.random.default_rng(seed), []
+        step, follows = chance.choice([0.004, 0.008]), chance.random() < 0.3
+        wind = {
+            "speed": chance.uniform(2.0, 20.0),
+            "direction": [chance.uniform(-0.5, 0.5), 0.2, 1.0],
+            "follows": follows,
+        }
+        ball = {"kind": "sphere", "radius": 80.0, "mass": chance.uniform(0.1, 1.0), "at": [150.0, 140.0, 86.0],
+                "velocity": [chance.uniform(-200.0, 200.0), 0.0, -chance.uniform(300.0, 1500.0)]}  # fmt: skip
+        motion = {"duration": 5.0 * step, "step": step, "start": "reference", "damping": chance.choice([0.0, 3.0])}
+        tables = {"motion": motion, "load": {"wind": wind}, "body": ball, "start": {"origin": [0.0, 0.0, 0.0]}}
+        flat = mesh_of(300.0, chance.uniform(250.0, 350.0), 3, chance.choice([3, 4]))
+        same = tables, flat.p.T, counterclockwise(flat.p.T, flat.t.T), np.eye(3), 1.0
+        for told, p, t, turn, size in (same, twin_of(*same[:3], kind, rng)):
+            meshio.write(tmp_path / "sheet.vtu", meshio.Mesh(np.column_stack([p, 0.0 * p[:, 0]]), [("triangle", t)]))
+            told = told | {"curtain": {"shape": "file", "file": "sheet.vtu"}}
+            found = MovingCurtain(read_scene(told, tmp_path / "scene.toml"), LAW).solve()
+            assert found.status == "converged", found.message
+            rows = np.array([frame.row for frame in found.frames])
+            ends.append([rows[:, 1:4] @ turn / size, (rows[:, 5:12] - rows[0, 5:12]) / size**3])
+        (places, energies), (other, same_energies) = ends
+        assert np.abs(places - other).max() < 1e-4 * 450.0, seed  # to the root of the gap of a step, 1e-10
+        assert np.abs(energies - same_energies).max() < 1e-3 * np.abs(energies).max(), seed
 
 
 @pytest.mark.parametrize("seed", [1003, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1023, 1028))])

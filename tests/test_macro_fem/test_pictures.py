@@ -1,14 +1,19 @@
 """What a curtain is looked at by: views in space against the solution, and which files are written."""
 
+import json
+from html import escape
+
 import numpy as np
 import pytest
 
 import macro_fem
 from macro_fem.output.forces import pulls, winds
-from macro_fem.output.images import in_turn, parts
+from macro_fem.output.images import compose, in_turn, parts
 from macro_fem.output.pictures import STATES, panels
 from macro_fem.output.space_view import views
+from rve.common.drawing.space import new_plotter
 from rve.common.errors import InputError
+from tests.commands import run
 from tests.films import film_of
 from tests.test_macro_fem.sheets import sheet
 
@@ -65,6 +70,69 @@ def test_a_picture_and_a_film_with_a_frame_per_load_step(kind, request, tmp_path
     assert {"curtain.png", "curtain.gif", "summary.json"} <= {file.name for file in tmp_path.iterdir()}
     frames, changed = film_of(tmp_path / "curtain.gif")
     assert (frames, 1e-3 < changed < 0.5) == (2, True)
+
+
+NAMES = "a $x_$ b", "_left ^ \\frac", "$\\alpha$ & <b>"
+NAMED = """
+curtain = {width = 100.0, height = 80.0}
+mesh = {cells = 3}
+support = {kind = "hooks", count = 3, gather = 0.9}
+"""
+BALL = "[[obstacle]]\nkind = 'sphere'\ncentre = [50.0, 40.0, {}]\nradius = 20.0\nname = '{}'\n"
+
+
+def test_names_are_printed_as_they_are_typed(tmp_path):
+    """In legends and reports: no formulae, and none left out."""
+    balls = "".join(BALL.format(-60.0 * k - 60.0, name) for k, name in enumerate(NAMES))
+    (tmp_path / "space.toml").write_text(NAMED + balls)
+    (tmp_path / "plane.toml").write_text(NAMED + "".join(f"[[combination]]\nname = '{name}'\n" for name in NAMES))
+    solved = macro_fem.solve(macro_fem.load_scene(tmp_path / "space.toml"))
+    figure = compose(views(solved.steps)[0](new_plotter()), NAMES[0])
+    figure.canvas.draw()
+    words = [*figure.legends[0].get_texts(), figure._suptitle]
+    assert {text.get_text() for text in words} >= {*NAMES}
+    assert not any(text.get_parse_math() for text in words)
+    solved.write_html(tmp_path / "space.html")
+    text = (tmp_path / "space.html").read_text(encoding="utf-8")
+    assert all(json.dumps(escape(name, quote=False)) in text for name in NAMES)
+    run("macro_fem", "run", tmp_path / "plane.toml", "--out", tmp_path / "out", "--report", tmp_path / "report.pdf")
+    assert (tmp_path / "out" / "curtain.png").exists()
+
+
+MOVE = "[motion]\nduration = 0.02\nstep = 0.01\n"
+DRAWN = {
+    "run": ("", "macro_fem.output.pictures.panels", "curtain.png", ("summary.json", "curtain.vtu", "curtain.html")),
+    "run --report": ("", "macro_fem.report.plot_line_loads", "report.pdf", ("summary.json", "curtain.vtu")),
+    "run moving": (MOVE, "macro_fem.motion.files.save_panels", "motion.png", ("motion.csv", "motion_0002.vtu")),
+    "rings": ("", "macro_fem.rings.every_ring.new_axes", "rings.png", ("rings.vtu", "rings.html")),
+    "modes": ("", "macro_fem.motion.modes.save_picture", "modes.png", ("modes.json", "modes.vtu")),
+}
+
+
+@pytest.mark.parametrize("command", DRAWN)
+def test_a_picture_that_fails_loses_nothing_else(command, tmp_path, monkeypatch):
+    """Its failure is one sentence and exit code 3; numbers, data and other pictures are in place and listed."""
+    more, drawn_by, name, others = DRAWN[command]
+    scene, out = tmp_path / "scene.toml", tmp_path / "out"
+    scene.write_text(NAMED.replace("hooks", "top").replace("count = 3, ", "") + more)
+
+    def fail(*args, **kwargs):
+        raise ValueError("no such colour")
+
+    monkeypatch.setattr(drawn_by, fail)
+    words = {
+        "run": ("--html",),
+        "rings": ("--html", "--plane"),
+        "run --report": ("--no-picture", "--report", tmp_path / name),
+    }
+    done = run("macro_fem", command.split()[0], scene, "--out", out, *words.get(command, ()), codes=(3,))
+    last = done.output.splitlines()[-1]
+    assert f"{name} could not be made: unforeseen ValueError: no such colour" in last
+    assert last.endswith("; all else is in place")
+    assert not (out / name).exists()
+    record = "modes.json" if command == "modes" else "summary.json"
+    files = {path.name for path in out.iterdir()}
+    assert {*others} <= files == {record, *json.loads((out / record).read_text())["files"]}
 
 
 @pytest.mark.slow

@@ -1,10 +1,10 @@
 """What all commands share: how they end, what they print, and --quiet, --json and --traceback.
 
-A command ends with code 0; 1 where it has not converged or something unforeseen happened; 2 for bad input; 130 for
-SIGINT (Ctrl-C), 143 for SIGTERM, 129 for a closed terminal (SIGHUP). Each failure is one sentence on standard error;
-with `--traceback` the place in the code is printed before it. What takes long is shown live in a terminal. A command
-prints sentences by `say`, the last one by `say_next`, and its record by `answer`: `--quiet` leaves out the sentences,
-`--json` prints the record in their place.
+A command ends with code 0; 1 where it has not converged or something unforeseen happened; 2 for bad input; 3 where all
+is in place but a picture or report; 130 for SIGINT (Ctrl-C), 143 for SIGTERM, 129 for a closed terminal (SIGHUP). Each
+failure is one sentence on standard error; with `--traceback` the place in the code is printed before it. What takes
+long is shown live in a terminal. A command prints sentences by `say`, the last one by `say_next`, and its record by
+`answer`: `--quiet` leaves out the sentences, `--json` prints the record in their place.
 
     @click.group(cls=Group)
     def main() -> None: ...
@@ -25,7 +25,7 @@ from typing import Any
 
 import click
 
-from rve.common.errors import InputError, NotConverged, cut, require
+from rve.common.errors import InputError, NotConverged, NotDrawn, cut, require
 from rve.common.errors import shown as quoted
 from rve.common.files import check_out_file, json_text
 from rve.common.progress import shown, tell
@@ -66,8 +66,7 @@ class Command(click.Command):
         except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise
         except (Exception, KeyboardInterrupt) as error:
-            if _asked("traceback"):
-                click.echo("".join(traceback.format_exception(error)), err=True, nl=False)
+            _say_where(error)
             code, sentence = ending(error)
             notes = getattr(error, "__notes__", [_ANEW] if isinstance(error, KeyboardInterrupt) else [])
             failed = click.ClickException("; ".join(" ".join(str(text).split()) for text in (sentence, *notes)))
@@ -157,6 +156,9 @@ def ending(error: BaseException) -> tuple[int, str]:
         return 2, str(error)
     if isinstance(error, NotConverged):
         return 1, str(error)
+    if isinstance(error, NotDrawn):
+        why = (f"{name} could not be made: {ending(cause)[1]}" for name, cause in error.causes.items())
+        return 3, "; ".join([*why, "all else is in place"])
     if isinstance(error, KeyboardInterrupt):
         number = signal.Signals(error.args[0] if error.args else signal.SIGINT)
         return 128 + number, f"stopped by {number.name}"
@@ -180,6 +182,28 @@ def say_next(package: str, *words: object, why: str = "") -> None:
     """The last sentence of a command: one that can be typed next, and what for."""
     command = shlex.join(["python", "-m", package, *map(str, words)])
     say(f"next: {command}{f'  # {why}' if why else ''}")
+
+
+def _say_where(error: BaseException) -> None:
+    """Prints where in the code an error arose, if --traceback asks for it."""
+    if _asked("traceback"):
+        click.echo("".join(traceback.format_exception(error)), err=True, nl=False)
+
+
+def made(make: Callable[..., dict[str, Any]], *args: Any, **kwargs: Any) -> tuple[dict[str, Any], NotDrawn | None]:
+    """The record that a function returns, and how its pictures or reports failed where only they did."""
+    try:
+        return make(*args, **kwargs), None
+    except NotDrawn as failed:
+        return failed.record, failed
+
+
+def end_as(failed: NotDrawn | None) -> None:
+    """Ends a command that has printed its record with a sentence and exit code 3 if pictures or reports failed."""
+    if failed is not None:
+        _say_where(failed)
+        click.echo(f"Error: {ending(failed)[1]}", err=True)
+        raise click.exceptions.Exit(3)
 
 
 def answer(record: Mapping[str, Any], text: str | None = None, *, always: bool = False) -> None:

@@ -32,6 +32,7 @@ MARKS = ".sweep"
 RETRIES = 3
 """How often an item is begun again whose worker on a cluster was lost."""
 CONNECT_S = 10.0
+_WITHOUT = {3: "all is in place but a picture or report; run it alone to see why"}
 LOST = "its worker was lost, perhaps for lack of memory: the same sweep, with fewer of them, goes on"
 
 
@@ -192,7 +193,10 @@ def run_sweep(
     tell("")
     failed = [row for row in rows if row["exit_code"] != 0]
     for row in failed:
-        click.echo(f"{row['name']}: {row['message'] or 'not converged, see its record'}", err=True)
+        click.echo(
+            f"{row['name']}: {row['message'] or _WITHOUT.get(row['exit_code'], 'not converged, see its record')}",
+            err=True,
+        )
     say(f"{len(rows) - len(failed)} of {len(rows)} done; written to {out / 'sweep.csv'}")
     answer({"out": str(out), "done": len(rows) - len(failed), "items": rows})
     if failed:

@@ -44,11 +44,23 @@ def viridis() -> Any:
     return ListedColormap(matplotlib.colormaps["viridis"].colors[:225])  # type: ignore[attr-defined]
 
 
+def as_typed(figure: Figure) -> Figure:
+    """The figure, whose words are printed as they are typed, "$" and "_" too; labels of ticks may be formulae."""
+    from matplotlib.axis import Axis
+    from matplotlib.text import Text
+
+    ticks = {text for axis in figure.findobj(Axis) for text in axis.findobj(Text) if text is not axis.label}
+    for text in figure.findobj(Text):
+        if text not in ticks:
+            text.set_parse_math(False)
+    return figure
+
+
 def save_figure(path: str | os.PathLike[str], figure: Any, dpi: float = 150) -> None:
     """Write a figure, atomically; the ending of the name is the format, PNG without one. InputError for others."""
     try:
         with atomic_path(path) as temporary:
-            figure.savefig(temporary, dpi=dpi, format=Path(path).suffix[1:] or "png", bbox_inches="tight")
+            as_typed(figure).savefig(temporary, dpi=dpi, format=Path(path).suffix[1:] or "png", bbox_inches="tight")
     except ValueError as error:
         raise InputError(f"{path}: {str(error).splitlines()[0]}") from error
 

@@ -1,7 +1,6 @@
 """Pictures in space: plotters of pyvista without a screen, their parts and cameras.
 
-Coordinates are mm and the second axis points up. The name of an actor is its text in the legend; names that begin with
-"_" are not in it.
+Coordinates are mm and the second axis points up. The name of an actor is its text in the legend, unless `UNLISTED`.
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ PANEL = (1400, 1240)
 """Pixels of a panel before matplotlib makes it smaller, which smooths edges."""
 FRONT, THREE_QUARTERS = (0.0, -0.12, -1.0), (-0.75, -0.45, -1.0)
 MARGIN = 1.04
+UNLISTED = ("_shadow", "_ground")
 BODY, BODY_OPACITY = "#c9b18f", 0.75
 """Colour of bodies that a mesh meets, and how much they hide."""
 MEASURE = "#8d96a1"
