@@ -174,11 +174,12 @@ def _check_target(target: Path, option: str, inputs: Inputs) -> None:
 
 
 @contextmanager
-def job(folder: AnyPath, name: str, record: Record, inputs: Inputs = ()) -> Iterator[Path]:
+def job(folder: AnyPath, name: str, record: Record, inputs: Inputs = (), *, adds: bool = False) -> Iterator[Path]:
     """A hidden folder for the files of a result; they take their places in `folder` when the block ends well.
 
     `folder` is made if need be. The file `name` stands for the result: it holds the `record`, as it is at the end of
-    the block. InputError for a folder that cannot be written, and when a new file would overwrite one of `inputs`.
+    the block. adds: files join those that `name` lists already, as pictures do whose data are in place. InputError for
+    a folder that cannot be written, and when a new file would overwrite one of `inputs`.
     """
     out, inputs = Path(folder), list(inputs)
     with _staging(out, f"--out = {folder}", makes=True) as staged:
@@ -186,10 +187,11 @@ def job(folder: AnyPath, name: str, record: Record, inputs: Inputs = ()) -> Iter
         names = [path.relative_to(staged).as_posix() for path in sorted(staged.rglob("*")) if path.is_file()]
         for one in (*names, name):
             _check_target(out / one, "--out", inputs)
-        sums = {one: checksum(staged / one) for one in names}
+        before = _listed(out, name)
+        sums = (before if adds else {}) | {one: checksum(staged / one) for one in names}
         (staged / name).write_text(json_text({**record, "files": sums}), encoding="utf-8")
-        for one, known in _listed(out, name).items():
-            if one not in names and (out / one).is_file() and checksum(out / one) == known:
+        for one, known in before.items():
+            if one not in sums and (out / one).is_file() and checksum(out / one) == known:
                 (out / one).unlink()
         for one in (*names, name):
             (out / one).parent.mkdir(parents=True, exist_ok=True)

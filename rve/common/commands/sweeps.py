@@ -93,8 +93,8 @@ def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1, cluster: str 
     left = [item for item in items if item.name not in ended]
     tell(f"sweep, {len(ended)} of {len(items)} done")
     kept = f"what is finished is kept in {out}, and the same command goes on from there"
-    side_by_side = _processes(min(jobs, len(left) or 1)) if cluster is None else _cluster(cluster)
-    with noted_if_stopped(kept), side_by_side as workers:
+    pool = side_by_side(min(jobs, len(left) or 1)) if cluster is None else _cluster(cluster)
+    with noted_if_stopped(kept), pool as workers:
         futures = {workers.submit(run_item, item): item for item in left}
         for future in as_completed(futures):
             item = futures[future]
@@ -126,7 +126,7 @@ def _cluster(address: str) -> Iterator[Executor]:
 
 
 @contextmanager
-def _processes(jobs: int) -> Iterator[Executor]:
+def side_by_side(jobs: int) -> Iterator[Executor]:
     """Worker processes that end with the block, at once where it is left early, and when this process ends."""
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_end_with_parent) as pool:
         try:
