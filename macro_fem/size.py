@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from macro_fem.demand.rings import OnDemand
 from macro_fem.scene.meshing.mesh import build_mesh
@@ -29,8 +30,10 @@ from rve.common.drawing.plane import BLUE, VERMILION, new_axes, save_figure
 
 WIDTH, COARSE_WIDTH = 5e-3, 5e-2
 """Distance of the last value that holds and the next one over the value; on a coarser mesh, which only guides."""
-FEWEST, PER_DECADE, MOST_ROUNDS = 5, 2, 12
-"""Values of the first round, at least and in each power of ten, and most rounds of two after it."""
+FEWEST, PER_DECADE, MOST_ROUNDS = 5, 2, 20
+"""Values of the first round, at least and in each power of ten, and most rounds of one or two after it."""
+NEAR = 20.0
+"""An answer this many widths from where the curve crosses says where, well enough to try both sides of the place."""
 LARGE, LEAST_COARSE = 48, 16
 """Cells along the width from which a coarser mesh guides the search, and the fewest of that mesh."""
 KEPT = ".size"
@@ -109,21 +112,21 @@ def search(
 
     guide: uses on a coarser mesh, whose curve, shifted and tilted, is followed instead of a straight line.
     """
-    uses, gap = use(first), math.inf
+    uses, gaps = use(first), [math.inf, math.inf]
     for _ in range(MOST_ROUNDS):
         good, bad = bracket(uses, span)
-        before, gap = gap, math.inf if good is None or bad is None else span.way(bad) - span.way(good)
-        if not (values := _next_values(uses, span, width, guide, is_slow=gap > 0.5 * before)):
+        gaps.append(math.inf if good is None or bad is None else span.way(bad) - span.way(good))
+        if not (values := _next_values(uses, span, width, guide, is_slow=gaps[-1] > 0.5 * gaps[-3])):
             break
         uses = use(values)
     return bracket(uses, span)
 
 
 def _next_values(uses: Uses, span: Range, width: float, guide: Uses | None, *, is_slow: bool) -> list[float]:
-    """What to try next: around the place where the curve through the two answers nearest to 0 crosses it, or the end
-    of the range that it does not reach; none at the end of the search.
+    """What to try next: where the curve through the answers crosses 0, and, if one is near, on both sides of this
+    place; or the end of the range that it does not reach; none at the end of the search.
 
-    is_slow: the ends have hardly come closer, so thirds of the way between them are tried.
+    is_slow: two rounds have hardly brought the ends closer, so thirds of the way between them are tried.
     """
     (good, bad), (first, last) = bracket(uses, span), span.ends
     if good == last or (good is None and first in uses):
@@ -135,26 +138,33 @@ def _next_values(uses: Uses, span: Range, width: float, guide: Uses | None, *, i
             return []
         if is_slow and not span.grid:
             return [v for part in (1 / 3, 2 / 3) for v in span.around(left + part * (right - left), 0.0, left, right)]
-    near = sorted((abs(log), span.way(value), log) for value, log in uses.items() if log < math.inf)[:2]
-    at = 0.5 * (left + right)
-    if near:
-        place, log = np.transpose(near)[1:]
-        places = np.linspace(left, right, 401)
-        curve = np.polyval(np.polyfit(place, log - _shape(place, span, guide), len(near) - 1), places)
-        curve += _shape(places, span, guide)
+    known = sorted((span.way(value), log) for value, log in uses.items() if log < math.inf)
+    at, distance = 0.5 * (left + right), math.inf
+    if known:
+        curve = _curve(known, span, guide, places := np.linspace(left, right, 401))
         crossings = np.flatnonzero((curve[:-1] <= 0.0) & (curve[1:] > 0.0))
         if len(crossings):
             k = crossings[-1 if good is None else 0]
             at = float(places[k] - curve[k] * (places[k + 1] - places[k]) / (curve[k + 1] - curve[k]))
+            distance = min(abs(place - at) for place, _ in known)
         elif (is_end := bad is None and curve[0] <= 0.0) or (good is None and curve[0] > 0.0):
             return [last if is_end else first]
-    return span.around(at, width, left, right)
+    return span.around(at, width if distance < NEAR * width else 0.0, left, right)
 
 
-def _shape(places: Array, span: Range, guide: Uses | None) -> Array:
-    """How log use grows along the range: as a coarser mesh says, else as with a load whose factor is one over it."""
-    known = sorted((span.way(value), log) for value, log in (guide or {}).items() if log < math.inf)
-    return np.interp(places, *np.transpose(known)) if known else places
+def _curve(known: Sequence[tuple[float, float]], span: Range, guide: Uses | None, places: Array) -> Array:
+    """log use at places along the range, monotone between the known ones; beyond them it grows as a coarser mesh says,
+    else as with a load, whose factor is one over it."""
+    coarse = sorted((span.way(value), log) for value, log in (guide or {}).items() if log < math.inf)
+
+    def shape(at: Array) -> Array:
+        return np.interp(at, *np.transpose(coarse)) if coarse else at
+
+    place, log = np.transpose(known)
+    shift = log - shape(place)
+    if len(known) == 1:
+        return shape(places) + shift
+    return shape(places) + PchipInterpolator(place, shift)(np.clip(places, place[0], place[-1]))
 
 
 def _peak(uses: Uses, span: Range, width: float) -> list[float]:
