@@ -13,8 +13,9 @@ from rve.common.commands.sweeps import SweepItem, further_options, run_sweep, sw
 
 MOST_RINGS = 90_000
 """From this many on `localize` is told that they are wanted: its own limit is a little above."""
-NUMBERS = ("mean_height_mm", "lowest_point_mm", "max_principal_line_load_N_per_mm", "mass_kg", "utilisation_max")
-COLUMNS = ("status", *NUMBERS, "safety_factor", "cells")
+NUMBERS = ("mean_height_mm", "lowest_point_mm", "max_principal_line_load_N_per_mm", "mass_kg")
+GOVERNING = tuple(f"governing_{what}" for what in ("factor", "combination", "link", "place", "force_N", "note"))
+COLUMNS = ("status", *NUMBERS, "holds", *GOVERNING, "cells")
 """What sweep.csv takes from summary.json; no times, so that the same sweep gives the same file."""
 PATH = click.Path(path_type=Path)
 

@@ -17,7 +17,7 @@ from macro_fem.curtain import with_forces
 from macro_fem.output import files
 from macro_fem.output.forces import obstacle_summary
 from macro_fem.output.pictures import Pictures, plot_line_loads, plot_utilisation, write_curtain_page, write_pictures
-from macro_fem.output.told import envelope
+from macro_fem.output.told import envelope, governing
 from macro_fem.rings.curtain import curtain_of, read_told
 from macro_fem.rings.field import RingField
 from macro_fem.rings.localize import localize
@@ -78,7 +78,7 @@ class MembraneSolution(Solution):
             if failed and summary["status"] == Status.CONVERGED:
                 message = f"combination {failed[0]['name']}: {failed[0]['message']}"
                 summary |= {"status": failed[0]["status"], "message": message}
-        summary["order"] = order(self.loaded, summary)
+        summary |= governing(summary) | {"order": order(self.loaded, summary)}
         summary["features"] = files.features(self.loaded, bounds=bool(self.levels))
         if len(self.steps) > 1:
             summary["steps"] = [

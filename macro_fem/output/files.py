@@ -49,6 +49,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         **told,
         "weakest": least and least.name,
         "weakest_factor": least and least.factor,
+        "weakest_place": least and least.place,
         "total_load_N": problem.force.sum(axis=0).tolist(),
         "support_forces": forces,
         "forces_by": forces_by(solution),
