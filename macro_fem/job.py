@@ -24,9 +24,10 @@ from macro_fem.rings.every_ring import Comparison, EveryRing, EveryRingSolution
 from macro_fem.rings.ring_scene import in_material, ring_scene
 from macro_fem.scene.checks import check_bounds, check_scene, check_sizes
 from macro_fem.scene.loads import areal_mass
-from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh, columns
 from macro_fem.scene.moving import scaled
 from macro_fem.scene.scene import Scene, load_scene
+from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import Combination, LiveLoad
 from macro_fem.solution import CurtainSolution
 from rve import Cell
@@ -56,12 +57,35 @@ def solve(scene: Scene, who: Who = None) -> Solution:
         scene.refuse("[motion]: is for a curtain over time, use macro_fem run or MovingCurtain")
     if isinstance(who, EveryRing):
         return solve_every_ring(scene, who)
-    answer = _on_demand(scene, who) if isinstance(who, OnDemand) else solve_membrane(scene, who)
+    answer = _solve_alone(scene, who)
     others, cell = [], answer.solution.problem.law.cell
     for number, one in enumerate(scene.combination, 1):
         with part_of(f"combination {one.name}, {number} of {len(scene.combination)}"):
-            others.append((one, solve(combined(scene, one, cell), who)))
-    return replace(answer, combinations=tuple(others))
+            others.append((one, _solve_alone(combined(scene, one, cell), who)))
+    with part_of("forces on a coarser mesh"):
+        return replace(answer, combinations=tuple(others), coarser=_coarser(answer, who))
+
+
+def _solve_alone(scene: Scene, who: MembraneLaw | LawInterval | OnDemand | None) -> MembraneSolution:
+    """The answer to a scene without its combinations."""
+    check_scene(scene)
+    return _on_demand(scene, who) if isinstance(who, OnDemand) else solve_membrane(scene, who)
+
+
+def _coarser(answer: MembraneSolution, who: Who) -> CurtainSolution | None:
+    """The curtain on cells twice as large, where balance leaves forces of a row of hooks open, to compare them; None
+    where there is no need, or no such mesh has a node for each."""
+    scene, cells = answer.scene, answer.scene.mesh.cells
+    half = replace(scene, mesh=replace(scene.mesh, cells=max(1, cells // 2)))
+    if isinstance(who, OnDemand | EveryRing) or scene.solver.is_bounded or isinstance(scene.curtain, MeshFile):
+        return None
+    if not answer.are_hooks_open or columns(half) > 0.7 * columns(scene):
+        return None
+    try:
+        found = solve_membrane(half, who)
+    except InputError:  # finer hooks than cells
+        return None
+    return found.loaded if found.status == "converged" else None
 
 
 def combined(scene: Scene, combination: Combination, cell: CellInfo | None) -> Scene:

@@ -9,7 +9,7 @@ import numpy as np
 
 from macro_fem.output.forces import first_of_largest, spot_loads
 from macro_fem.output.pictures import plot_line_loads, plot_utilisation
-from macro_fem.output.told import combination_lines, components, links, order_lines, verdict
+from macro_fem.output.told import combination_lines, components, lean_note, links, order_lines, verdict
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, Wind
 from macro_fem.solution import CurtainSolution
@@ -133,7 +133,13 @@ def _sections(summary: dict[str, Any], inputs: Iterable[Path]) -> Iterable[tuple
         shown = sorted(sorted(range(len(rows)), key=lambda number: -rows[number][0])[:MOST_ROWS])
         most = "" if len(shown) == len(rows) else f", the {len(shown)} largest of {len(rows)}"
         yield f"{title}{most}", [head, *(rows[number][2] for number in shown)], True
-    yield "Assumptions and limits", filter(None, [*LIMITS, summary["governing_note"]]), False
+    yield (
+        "Assumptions and limits",
+        filter(
+            None, [*LIMITS, *(summary[key] for key in ("governing_note", "single_forces_note")), lean_note(summary)]
+        ),
+        False,
+    )
     versions = ", ".join(f"{key} {value}" for key, value in summary["versions"].items())
     yield "Versions and files", [versions, *(f"SHA-256 of {one.name}: {checksum(one)}" for one in inputs)], False
 

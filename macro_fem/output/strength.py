@@ -216,11 +216,26 @@ def hook_rings(solution: CurtainSolution, known: Strength, cell: CellInfo) -> li
     points = [one for one in point_forces(solution) if one.rings]
     if not points:
         return [NONE, NONE]
-    joint = "welded" if known.joint == "welded" else "butted:worst"
-    ring = pulled_ring(cell.r1_mm, cell.r2_mm, known.material, joint)
     each = [one.force / one.rings for one in points]
     most = points[first_of_largest(each)]
-    return [Extreme(max(each) / limit, most.at, force=most) for limit in (ring.first_yield_N, ring.collapse_N)]
+    return [Extreme(max(each) / limit, most.at, force=most) for limit in _limits_of_ring(known, cell)]
+
+
+def _limits_of_ring(known: Strength, cell: CellInfo) -> tuple[float, float]:
+    """The force in N with which a ring between two opposed forces yields, and with which it collapses."""
+    joint = "welded" if known.joint == "welded" else "butted:worst"
+    ring = pulled_ring(cell.r1_mm, cell.r2_mm, known.material, joint)
+    return ring.first_yield_N, ring.collapse_N
+
+
+def rings_at_points(solution: CurtainSolution) -> tuple[Array, Array]:
+    """Places (k, 2) of rings that bear forces at points, as the curtain hangs, mm, and their utilisations (k,); none
+    where the strength is not known."""
+    by, nodes = judged_by(solution.problem.law), solution.problem.disc.nodes
+    points = [one for one in point_forces(solution) if one.rings and not isinstance(by, str)]
+    at = [np.linalg.norm(nodes - one.at, axis=1).argmin() for one in points]
+    used = [one.force / one.rings / _limits_of_ring(*by)[0] for one in points if not isinstance(by, str)]
+    return solution.x[np.array(at, int), :2], np.array(used)
 
 
 def largest_borne(

@@ -20,6 +20,8 @@ OF_FORCE = (
 """What is said of a factor that follows from the force at a point."""
 ROOM = 1.5
 """What rings next to hooks bear at most over their estimate: ten scenes, `python -m benchmarks hooks --full`."""
+LEANS = 0.02
+"""Share of the height from which a lean to a side is told."""
 JUDGED = ("safety_factor", "weakest", "weakest_factor", "weakest_place", "utilisation_too_low")
 """Keys of a summary that combinations of loads are judged by."""
 UTILISATIONS = tuple(f"utilisation_of_{what}_max" for what in ("averages", "point_forces", "hook_rings"))
@@ -45,7 +47,7 @@ def links(summary: dict[str, Any]) -> list[Link]:
         if mesh >= ring:
             near, distance = summary["first_yield_near"], summary["first_yield_distance_mm"]
             place = _place(summary["utilisation_max_at_mm"], f"{_from(distance)} {near}")
-            text = f"rings at {place}"
+            text = f"rings {place}"
         found.append(Link(1.0 / mesh, "mesh", text, place))
     if ring > UNLOADED:
         place = _place(summary["utilisation_max_at_mm"]) if ring > mesh else ""
@@ -66,7 +68,7 @@ def links(summary: dict[str, Any]) -> list[Link]:
 def _place(at: Sequence[float], near: str = "") -> str:
     """A place in the flat sheet, and what is near."""
     x, y = at
-    return f"({x:.6g}, {y:.6g}) mm{', ' * bool(near)}{near}"
+    return f"at ({x:.6g}, {y:.6g}) mm{', ' * bool(near)}{near}"
 
 
 def _from(distance: float) -> str:
@@ -179,13 +181,24 @@ def curtain_lines(summary: dict[str, Any], out: Path, *, explain: bool) -> Itera
     yield from order_lines(summary["order"])
     if summary["status"] == "converged":
         yield f"{'without the factors of combinations: ' * ('envelope' in summary)}{holds_line(summary)}"
-        yield from filter(None, [summary["support_forces_note"]])
+        yield from filter(None, [summary["support_forces_note"], summary["single_forces_note"], lean_note(summary)])
     yield from combination_lines(summary)
     if "bounds" in summary:
         yield interval_line(summary)
     if explain:
         for row in summary["features"]:
             yield f"{row['feature']:<16} {'used' if row['used'] else 'left out':<9} {row['why']}"
+
+
+def lean_note(summary: dict[str, Any]) -> str | None:
+    """That the curtain leans to a side, and how far; None where it hardly does."""
+    lean, height = summary["lean_mm"], summary["order"]["mesh_height_mm"]
+    if abs(lean) < LEANS * height:
+        return None
+    return (
+        f"the curtain leans as its mesh shears: its lower end hangs {digits(abs(lean))} mm to the "
+        f"{'right' if lean > 0.0 else 'left'} of its upper one, over a height of {height:g} mm"
+    )
 
 
 def _heights(summary: dict[str, Any]) -> str:
@@ -289,7 +302,9 @@ def governing_line(summary: Mapping[str, Any]) -> str:
         return f"{text}; no answer for {', '.join(failed)}"
     if factor is None:
         return text
-    return f"{text}, {'holds' if factor >= 1.0 else 'does not hold'}{_factor(most)}"
+    force = max(row["largest_force_N"] for row in summary["combinations"])
+    held = "holds" if factor >= 1.0 else "does not hold"
+    return f"{text}, {held}{_factor(most)}; largest force of a single point {digits(force, 4)} N"
 
 
 def verdict(summary: dict[str, Any]) -> tuple[str, bool]:
