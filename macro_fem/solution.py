@@ -160,8 +160,8 @@ class CurtainSolution(Judged):
         return float(self.mean_place()[1])
 
     def lean(self) -> float:
-        """How far the lower end hangs to the right of the upper one, mm: the mean over the reference area of the part of
-        its upright lines along x, in space along its level lines, which follow a track; times its height."""
+        """How far the lower end hangs to the right of the upper one, mm: the mean over the reference area of the part
+        of its upright lines along x, in space along its level lines, which follow a track; times its height."""
         F1, F2 = np.moveaxis(self.F, -1, 0)
         ahead = F1 if self.problem.fem.d == 3 else np.eye(2)[[0] * len(F1)]
         along = (ahead * F2).sum(axis=1) / np.maximum(np.linalg.norm(ahead, axis=1), 1e-300)
