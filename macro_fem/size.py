@@ -23,7 +23,7 @@ from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.sites import Hanging
-from macro_fem.trials import VARIED, Row, Sought, Trials, Who
+from macro_fem.trials import MAY_GOVERN, VARIED, Row, Sought, Trials, Who
 from rve.common import Array, InputError, csv_text, digits, job, noted_if_stopped, shown, write_text
 from rve.common.commands.sweeps import side_by_side
 from rve.common.drawing.plane import BLUE, VERMILION, new_axes, save_figure
@@ -153,8 +153,8 @@ def _next_values(uses: Uses, span: Range, width: float, guide: Uses | None, *, i
 
 
 def _curve(known: Sequence[tuple[float, float]], span: Range, guide: Uses | None, places: Array) -> Array:
-    """log use at places along the range, monotone between the known ones; beyond them it grows as a coarser mesh says,
-    else as with a load, whose factor is one over it."""
+    """log use at places along the range: that of a coarser mesh, else of a load whose factor is one over it, and what
+    the known answers differ by, monotone between them and straight beyond."""
     coarse = sorted((span.way(value), log) for value, log in (guide or {}).items() if log < math.inf)
 
     def shape(at: Array) -> Array:
@@ -162,9 +162,15 @@ def _curve(known: Sequence[tuple[float, float]], span: Range, guide: Uses | None
 
     place, log = np.transpose(known)
     shift = log - shape(place)
-    if len(known) == 1:
-        return shape(places) + shift
-    return shape(places) + PchipInterpolator(place, shift)(np.clip(places, place[0], place[-1]))
+    curve = shape(places) + (
+        shift[0] if len(known) == 1 else PchipInterpolator(place, shift, extrapolate=False)(places)
+    )
+    for end, beyond in ((0, places < place[0]), (-1, places > place[-1])):
+        far = np.flatnonzero(np.abs(place - place[end]) > 2.0 * WIDTH)  # two that are close tell no slope
+        other = far[end] if len(far) else end
+        slope = (shift[other] - shift[end]) / (place[other] - place[end]) if len(far) else 0.0
+        curve[beyond] = shape(places[beyond]) + shift[end] + slope * (places[beyond] - place[end])
+    return np.asarray(curve)
 
 
 def _peak(uses: Uses, span: Range, width: float) -> list[float]:
@@ -209,14 +215,22 @@ class Size:
             return f"no {self.vary} from {low:g} to {high:g} holds with {asked}: {_why_none(self.curve)}"
         under = f" under {self.governing_combination}" if self.governing_combination else ""
         held = f"{digits(self.factor or 0.0, 4)} ({self.weakest}{under})"
+        text = f"{self.vary} = {self.value:.6g} {unit}"
         if self.next_value is None:
-            if all(row.factor is not None and row.factor >= self.factor_asked for row in self.curve):
-                way = "down" if self.vary == "r2" else "up"
-                return f"all values of {self.vary} {way} to {self.value:.6g} {unit} hold with {asked}: there {held}"
-            return f"{self.vary} = {self.value:.6g} {unit}, the end of the range, holds with {asked}: {held}"
-        text = f"{self.vary} = {self.value:.6g} {unit} is the last that holds with {asked}: {held}"
+            way = f"{'down' if self.vary == 'r2' else 'up'} to {self.value:.6g}"
+            every = " holds" if self.failing else f": all values {way} hold"
+            return f"{text}, the end of the range{every} with {asked}: {held}"
         after = "no answer" if self.next_factor is None else digits(self.next_factor, 4)
-        return f"{text}; {self.next_value:.6g} {unit}: {after}"
+        return f"{text} is the last that holds with {asked}: {held}; {self.next_value:.6g} {unit}: {after}"
+
+    @property
+    def failing(self) -> list[Row]:
+        """What does not hold although the `value` does, which needs more: known on this mesh, or clear on a coarser
+        one."""
+        sign, most = -1.0 if self.vary == "r2" else 1.0, self.factor_asked
+        rows = [row for row in self.curve if (row.factor or 0.0) < most]
+        rows += [row for row in self.estimates if MAY_GOVERN * (row.factor or 0.0) < most]
+        return [row for row in rows if self.value is not None and sign * row.value < sign * self.value]
 
     def save(self, folder: str | Path, *, picture: bool = True) -> dict[str, Any]:
         """Write size.json and size.csv into `folder`, then size.png; the record."""
@@ -317,11 +331,11 @@ def _size_of(trials: Trials, span: Range, good: float | None, bad: float | None)
         if rows[bad].factor is None:
             notes.append(f"{sought.vary} = {bad:.6g} has no answer: {rows[bad].status}")
         size = replace(size, next_value=bad, next_factor=rows[bad].factor)
-    fallen = [one for one in (*trials.rows, *estimates) if span.way(one.value) < span.way(good)]
-    if fallen := [one for one in fallen if one.factor is not None and one.factor < sought.factor]:
+    if size.failing:
+        least = min(size.failing, key=lambda one: one.factor or 0.0)
         side = "larger" if sought.vary == "r2" else "smaller"
-        least = min(fallen, key=lambda one: one.factor or 0.0)
-        notes.append(f"{side} values do not all hold: {least.value:.6g} has a factor {digits(least.factor or 0.0)}")
+        told = f"a factor {digits(least.factor)}" if least.factor else "no answer"
+        notes.append(f"{side} values do not all hold: {least.value:.6g} has {told}")
     kept = {key: vars(row)[key] for key in ("factor", "safety_factor", "weakest", "governing_combination")}
     return replace(size, note="; ".join(filter(None, notes)) or None, **kept)
 
