@@ -136,6 +136,7 @@ class Trials:
     _starts: dict[Case, CurtainSolution | None] = field(default_factory=dict)
     _laws: dict[float, Who] = field(default_factory=dict)
     _solved: int = 0
+    _later: int = 0
     _began: float = 0.0
 
     @property
@@ -150,6 +151,7 @@ class Trials:
         """log(asked / factor) at all values that are answered, inf where there is no answer, after asking for `values`:
         of many first for ends and middle, which tell the combinations that may govern at the others."""
         for part in (values[:: max(1, (len(values) - 1) // 2)], values):
+            self._later = len(values) - len(part) + self.planned
             self.ask((value, case) for value in part for case in self.sought.cases if self._may_govern(value, case))
         return {row.value: math.log(self.sought.factor / row.factor) if row.factor else math.inf for row in self.rows}
 
@@ -240,11 +242,11 @@ class Trials:
         unit, cases = VARIED[self.sought.vary][0], f", {key[1].name}" if key[1] else ""
         now = f"{self.sought.vary} = {key[0]:.6g} {unit}{cases}"
         if not self._solved:
-            return f"{now}, the first of about {left + self.planned} answers"
+            return f"{now}, the first of about {left + self._later} answers"
         last = next(reversed(self.answers.values()))
         told = f"factor {digits(last.factor)}" if last.factor else "no answer"
         each = digits((time.monotonic() - self._began) / self._solved, 2)
-        return f"{now}, about {left + self.planned} answers left, {each} s each; {last.value:.6g} {unit}: {told}"
+        return f"{now}, about {left + self._later} answers left, {each} s each; {last.value:.6g} {unit}: {told}"
 
 
 def answer_of(scene: Scene, who: Who, start: CurtainSolution | None) -> tuple[dict[str, Any], CurtainSolution | None]:
