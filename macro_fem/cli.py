@@ -22,8 +22,9 @@ from rve.common.commands.sweeps import SweepItem, further_options, run_sweep, sw
 
 MOST_RINGS = 90_000
 """From this many on `localize` is told that they are wanted: its own limit is a little above."""
-NUMBERS = ("mean_height_mm", "lowest_point_mm", "max_principal_line_load_N_per_mm", "mass_kg", "utilisation_max")
-COLUMNS = ("status", *NUMBERS, "safety_factor", "cells")
+NUMBERS = ("mean_height_mm", "lowest_point_mm", "max_principal_line_load_N_per_mm", "mass_kg")
+GOVERNING = tuple(f"governing_{what}" for what in ("factor", "combination", "link", "place", "force_N", "note"))
+COLUMNS = ("status", *NUMBERS, "holds", *GOVERNING, "cells")
 """What sweep.csv takes from summary.json; no times, so that the same sweep gives the same file."""
 PATH = click.Path(path_type=Path)
 
@@ -110,35 +111,45 @@ def _answer_or_go_on(summary: dict[str, Any], failed: NotDrawn | None, command: 
     end_as(failed)
 
 
-@main.command(epilog="Example: macro_fem size scene.toml --law law.json --vary pitch --from 50 --to 400 --factor 3")
+@main.command(
+    period_s=10.0,
+    epilog="Example: macro_fem size scene.toml --law law.json --vary pitch --from 50 --to 400 --factor 3 --out pitch",
+)
 @_scene_and_law
 @click.option("--rings", metavar="R1,R2", help="Ask these rings for the law, radii in mm; --vary r2 needs it.")
 @click.option("--vary", type=click.Choice(["pitch", "mass", "speed", "r2"]), required=True, help="What is varied.")
 @click.option("--from", "low", type=float, required=True, help="Smallest value: mm, kg or m/s.")
 @click.option("--to", "high", type=float, required=True, help="Largest value.")
 @click.option("--factor", type=float, required=True, help="Factor with which the curtain is to hold.")
-@click.option("--out", type=PATH, help="Folder for size.json, size.csv and size.png.")
+@click.option("--out", type=PATH, help="Folder for size.json, size.csv and size.png; each answer is kept there.")
 @click.option("--picture/--no-picture", default=True, help="Draw size.png (needs matplotlib).")
+@click.option(
+    "--jobs", type=click.IntRange(1, 1000), help="Processes side by side.  [default: large meshes one a core]"
+)
 def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None, picture: bool, **asked: Any) -> None:
     """The largest pitch, bar or wind of SCENE, or the thinnest wire, with which it holds.
 
-    Exit code 0: found; 2: bad input, or no value holds.
+    The same command again goes on from the answers in --out. Exit code 0: found; 2: bad input, or no value holds (its
+    files are written).
     """
     from homogenize import interval_or_law
     from macro_fem.demand.rings import ring_options
     from macro_fem.output.pictures import Pictures
     from macro_fem.scene.scene import load_scene
-    from macro_fem.size import largest_that_holds
+    from macro_fem.size import find_size
+    from macro_fem.trials import Sought
 
     if out is not None:
         check_out_job(out, "size.json", inputs=[scene, law_path])
         Pictures(picture, stem="size").check()
     on_demand = ring_options(rings, law_path)
     law = interval_or_law(law_path) if law_path is not None and on_demand is None else None
-    ends = asked["low"], asked["high"]
-    found = largest_that_holds(load_scene(scene), on_demand or law, asked["vary"], ends, asked["factor"])
+    sought = Sought(load_scene(scene), on_demand or law, asked["vary"], asked["factor"])
+    found = find_size(sought, (asked["low"], asked["high"]), out=out, jobs=asked["jobs"])
     if out is not None:
         found.save(out, picture=picture)
+    if found.value is None:
+        sought.scene.refuse(str(found))
     say(*filter(None, [found.note]), err=True)
     answer(asdict(found), str(found))
 

@@ -22,9 +22,10 @@ from macro_fem.problem import make_problem
 from macro_fem.rings.every_ring import Comparison, EveryRing, EveryRingSolution
 from macro_fem.rings.ring_scene import in_material, ring_scene
 from macro_fem.scene.checks import check_bounds, check_scene, check_sizes
-from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh, columns
 from macro_fem.scene.moving import scaled
 from macro_fem.scene.scene import Scene, load_scene
+from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import Combination, LiveLoad
 from macro_fem.solution import CurtainSolution
 from rve import Cell
@@ -55,12 +56,35 @@ def solve(scene: Scene, who: Who = None) -> Solution:
         scene.refuse("[motion]: is for a curtain over time, use macro_fem run or MovingCurtain")
     if isinstance(who, EveryRing):
         return solve_every_ring(scene, who)
-    answer = _on_demand(scene, who) if isinstance(who, OnDemand) else solve_membrane(scene, who)
+    answer = _solve_alone(scene, who)
     others = []
     for number, one in enumerate(scene.combination, 1):
         with part_of(f"combination {one.name}, {number} of {len(scene.combination)}"):
-            others.append((one, solve(combined(scene, one), who)))
-    return replace(answer, combinations=tuple(others))
+            others.append((one, _solve_alone(combined(scene, one), who)))
+    with part_of("forces on a coarser mesh"):
+        return replace(answer, combinations=tuple(others), coarser=_coarser(answer, who))
+
+
+def _solve_alone(scene: Scene, who: MembraneLaw | LawInterval | OnDemand | None) -> MembraneSolution:
+    """The answer to a scene without its combinations."""
+    check_scene(scene)
+    return _on_demand(scene, who) if isinstance(who, OnDemand) else solve_membrane(scene, who)
+
+
+def _coarser(answer: MembraneSolution, who: Who) -> CurtainSolution | None:
+    """The curtain on cells twice as large, where balance leaves forces of a row of hooks open, to compare them; None
+    where there is no need, or no such mesh has a node for each."""
+    scene, cells = answer.scene, answer.scene.mesh.cells
+    half = replace(scene, mesh=replace(scene.mesh, cells=max(1, cells // 2)))
+    if isinstance(who, OnDemand | EveryRing) or scene.solver.is_bounded or isinstance(scene.curtain, MeshFile):
+        return None
+    if not answer.are_hooks_open or columns(half) > 0.7 * columns(scene):
+        return None
+    try:
+        found = solve_membrane(half, who)
+    except InputError:  # finer hooks than cells
+        return None
+    return found.loaded if found.status == "converged" else None
 
 
 def combined(scene: Scene, combination: Combination) -> Scene:
@@ -73,8 +97,10 @@ def combined(scene: Scene, combination: Combination) -> Scene:
     return replace(scene, items=items, combination=(), weight=combination.weight)
 
 
-def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -> MembraneSolution:
-    """`solve` by a law."""
+def solve_membrane(
+    scene: Scene, law: MembraneLaw | LawInterval | None = None, start: CurtainSolution | None = None
+) -> MembraneSolution:
+    """`solve` by a law, from the curtain `start` on the same mesh, if there is one."""
     if not (isinstance(law, LawInterval | None) or hasattr(law, "support")):
         raise InputError(f"solve takes a law, OnDemand(cell) or EveryRing(cell), not a {type(law).__name__}")
     if law is None:
@@ -83,7 +109,7 @@ def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -
     inner, law, outer = (law.inner, law.law, law.outer) if isinstance(law, LawInterval) else (law, law, None)
     check_sizes(scene, None if law.cell is None else law.cell.r1_mm)
     if not scene.solver.is_bounded:
-        return MembraneSolution(scene, tuple(_steps(scene, law, scene.load.steps)))
+        return MembraneSolution(scene, tuple(_steps(scene, law, scene.load.steps, start)))
     steps = _steps(scene, inner, scene.load.steps)
     if steps[-1].status != "converged":
         scene.refuse(f"[solver] bounds: need a converged curtain: {steps[-1].message}")
@@ -128,7 +154,7 @@ def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
     return MembraneSolution(bounded, (*early, found.level.solution), (found.level,), found)
 
 
-def _steps(scene: Scene, law: MembraneLaw, last: int) -> list[CurtainSolution]:
+def _steps(scene: Scene, law: MembraneLaw, last: int, start: CurtainSolution | None = None) -> list[CurtainSolution]:
     """The curtain at load steps 1 to `last`, each from the one before; for bounds it obeys the law everywhere."""
     mesh, count = build_mesh(scene, law.cell), scene.load.steps
     pose = admissible_problem if scene.solver.is_bounded else make_problem
@@ -136,7 +162,7 @@ def _steps(scene: Scene, law: MembraneLaw, last: int) -> list[CurtainSolution]:
     for step in range(1, last + 1):
         work = f"{mesh.mesh.t.shape[1]} cells, load step {step} of {count}"
         with part_of(work):
-            solution = solve_problem(pose(scene, law, mesh, step / count), steps[-1] if steps else None)
+            solution = solve_problem(pose(scene, law, mesh, step / count), steps[-1] if steps else start)
         if solution.status == "infeasible":
             at = f" at {step / count:.3g} of the prescribed moves" if count > 1 else ""
             table = "obstacle" if solution.stop == "blocked" else "support"

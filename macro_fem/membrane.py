@@ -13,9 +13,9 @@ import numpy as np
 
 from macro_fem.answer import Solution
 from macro_fem.bounds.interval import CurtainBounds
-from macro_fem.curtain import with_forces
+from macro_fem.curtain import forces_note, with_forces
 from macro_fem.output import files
-from macro_fem.output.forces import obstacle_summary
+from macro_fem.output.forces import change_of_forces, obstacle_summary, support_forces
 from macro_fem.output.pictures import (
     Drawings,
     Pictures,
@@ -24,7 +24,7 @@ from macro_fem.output.pictures import (
     plot_utilisation,
     write_curtain_page,
 )
-from macro_fem.output.told import envelope
+from macro_fem.output.told import envelope, governing
 from macro_fem.rings.curtain import curtain_of, read_told
 from macro_fem.rings.field import RingField
 from macro_fem.rings.localize import localize
@@ -44,7 +44,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, eq=False, repr=False)
 class MembraneSolution(Solution):
     """A solved scene: the curtain at each of the load `steps`; `levels` of a scene that asks for bounds, each a finer
-    mesh than the one before; `demand` of one whose law was asked of the rings; the answers to `combinations` of loads.
+    mesh than the one before; `demand` of one whose law was asked of the rings; the answers to `combinations` of loads;
+    the curtain on a `coarser` mesh, where forces of single hooks are compared.
     """
 
     scene: Scene
@@ -52,6 +53,7 @@ class MembraneSolution(Solution):
     levels: tuple[CurtainBounds, ...] = ()
     demand: Demand | None = None
     combinations: tuple[tuple[Combination, Solution], ...] = ()
+    coarser: CurtainSolution | None = None
 
     @property
     def solution(self) -> CurtainSolution:
@@ -62,6 +64,12 @@ class MembraneSolution(Solution):
     def loaded(self) -> CurtainSolution:
         """The curtain at full load, with forces of elastic rings where rigid ones leave them open, found when asked."""
         return with_forces(self.solution)
+
+    @property
+    def are_hooks_open(self) -> bool:
+        """Whether balance leaves forces of a row of hooks or runners open."""
+        is_solved = self.solution.status == Status.CONVERGED
+        return bool(is_solved and self.solution.problem.mesh.hooks) and forces_note(self.loaded) is not None
 
     @property
     def status(self) -> Status:
@@ -85,7 +93,10 @@ class MembraneSolution(Solution):
             if failed and summary["status"] == Status.CONVERGED:
                 message = f"combination {failed[0]['name']}: {failed[0]['message']}"
                 summary |= {"status": failed[0]["status"], "message": message}
-        summary["order"] = order(self.loaded, summary)
+        if self.are_hooks_open:
+            other = None if self.coarser is None else support_forces(self.coarser)
+            summary["single_forces_note"] = change_of_forces(summary["support_forces"], other)
+        summary |= governing(summary) | {"order": order(self.loaded, summary)}
         summary["features"] = files.features(self.loaded, bounds=bool(self.levels))
         if len(self.steps) > 1:
             summary["steps"] = [

@@ -10,7 +10,7 @@ import numpy as np
 from macro_fem.output.forces import first_of_largest, spot_loads
 from macro_fem.output.forces import loads_in_words as _loads
 from macro_fem.output.pictures import plot_line_loads, plot_utilisation
-from macro_fem.output.told import combination_lines, components, links, order_lines, verdict
+from macro_fem.output.told import combination_lines, components, lean_note, links, order_lines, verdict
 from macro_fem.solution import CurtainSolution
 from rve.common import atomic_path, checksum, digits
 from rve.common.drawing.plane import BLUE, VERMILION, as_typed, new_figure
@@ -55,10 +55,10 @@ def write_report(
     shape.set_title("")
     shape.set_title("As it hangs: largest principal line load, and its direction", fontsize=8, loc="left")
     words, holds = verdict(summary)
-    forces = [*_forces(summary["support_forces"]), (0.0, "none", "")]
+    forces = _largest_forces(summary) if "envelope" in summary else _forces(summary["support_forces"])
+    forces = [*forces, (0.0, "none", "")]
     size, name, _ = forces[first_of_largest([size for size, *_ in forces])]
-    of = " without partial factors" * ("combinations" in summary)
-    largest = f"Largest force of a support{of}: {digits(size)} N ({name})"
+    largest = f"Largest force of a support: {digits(size)} N ({name})"
     _section(first, 0.945, words, [largest], BLUE if holds else VERMILION)
     mesh, *more = (line.strip().removeprefix("order: ") for line in order_lines(summary["order"]))
     joint, stress = summary["ring_joint"], summary["ring_yield_N_per_mm2"]
@@ -117,17 +117,28 @@ def _section(
 def _sections(summary: dict[str, Any], inputs: Iterable[Path]) -> Iterable[tuple[str, Iterable[str], bool]]:
     """Titles and lines of the further pages, and whether the lines are a table."""
     coarse = "at most " if summary["utilisation_too_low"] else ""
-    of, given = " without partial factors" * ("combinations" in summary), links(summary)
+    is_combined, given = "combinations" in summary, links(summary)
     factors = [f"{one.name}: at {coarse * (one.name == 'mesh')}{digits(one.factor)} times the load" for one in given]
-    yield f"What gives first{of}", factors or ["nothing whose strength is known is loaded"], False
-    if "combinations" in summary:
+    if is_combined:
         yield "Load combinations", combination_lines(summary), False
-    rows = _forces(summary["support_forces"])
-    shown = sorted(sorted(range(len(rows)), key=lambda number: -rows[number][0])[:MOST_ROWS])
-    most = "" if len(shown) == len(rows) else f", the {len(shown)} largest of {len(rows)}"
-    heads = ROW.format("support", "x y in sheet, mm", "x y (z) hung, mm", "force, N", "its x y (z), N")
-    yield f"Forces of supports{of}{most}", [heads, *(rows[number][2] for number in shown)], True
-    yield "Assumptions and limits", filter(None, [*LIMITS, summary["utilisation_too_low"]]), False
+    of = " without partial factors" * is_combined
+    yield f"What gives first{of}", factors or ["nothing whose strength is known is loaded"], False
+    own = ROW.format("support", "x y in sheet, mm", "x y (z) hung, mm", "force, N", "its x y (z), N")
+    tables = [(f"Forces of supports{of}", own, _forces(summary["support_forces"]))]
+    if is_combined:
+        head = ROW.format("support", "x y in sheet, mm", "", "force, N", "under")
+        tables.insert(0, ("Largest forces of supports under the combinations", head, _largest_forces(summary)))
+    for title, head, rows in tables:
+        shown = sorted(sorted(range(len(rows)), key=lambda number: -rows[number][0])[:MOST_ROWS])
+        most = "" if len(shown) == len(rows) else f", the {len(shown)} largest of {len(rows)}"
+        yield f"{title}{most}", [head, *(rows[number][2] for number in shown)], True
+    yield (
+        "Assumptions and limits",
+        filter(
+            None, [*LIMITS, *(summary[key] for key in ("governing_note", "single_forces_note")), lean_note(summary)]
+        ),
+        False,
+    )
     versions = ", ".join(f"{key} {value}" for key, value in summary["versions"].items())
     yield "Versions and files", [versions, *(f"SHA-256 of {one.name}: {checksum(one)}" for one in inputs)], False
 
@@ -142,6 +153,20 @@ def _forces(supports: list[dict[str, Any]]) -> list[tuple[float, str, str]]:
             name, size = f"{part['point']}{of}{', sum' * (part is whole)}", float(np.linalg.norm(part["force_N"]))
             at, place = (" ".join(f"{round(x)}" for x in part[key]) for key in ("at_mm", "place_mm"))
             rows.append((size, name, ROW.format(name, at, place, digits(size), components(*part["force_N"]))))
+    return rows
+
+
+def _largest_forces(summary: dict[str, Any]) -> list[tuple[float, str, str]]:
+    """Size, name and row of the largest force of each single point, and of each edge or area the largest sum."""
+    supports, rows = summary["support_forces"], []
+    for one in (*summary["envelope"]["support_sums"], *summary["envelope"]["support_forces"]):
+        is_sum, is_single = "point" not in one, "largest_force_per_ring_N" in supports[one["support_number"] - 1]
+        if is_sum != is_single:
+            of = f" of support {one['support_number']}" if len(supports) > 1 else ""
+            name = f"{one['support']}{of}, sum" if is_sum else f"{one['point']}{of}"
+            at = "" if is_sum else f"{round(one['x_mm'])} {round(one['y_mm'])}"
+            size, under = one["force_N"], one["combination"]
+            rows.append((size, f"{name}, {under}", ROW.format(name, at, "", digits(size), under)))
     return rows
 
 

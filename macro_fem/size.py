@@ -1,219 +1,403 @@
-"""The largest pitch, bar or wind, or the thinnest wire, with which a curtain holds with a factor that is asked for."""
+"""The largest pitch, bar or wind, or the thinnest wire, with which a curtain holds with a factor that is asked for.
 
-from bisect import bisect_right
+Factors go nearly as a power of what is varied. So values are searched on logarithmic scales, in pairs around the place
+where the line through the two best answers crosses the factor, until the last value that holds and the next one, which
+does not, are `WIDTH` apart. A large mesh is searched after a coarser one, which says where to begin and which
+combinations of loads may govern there. The last value that holds does so under all of them.
+"""
+
+import math
+import os
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
-from homogenize import LawInterval, MembraneLaw, fit
 from macro_fem.demand.rings import OnDemand
-from macro_fem.job import solve
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.shapes import Rectangle
-from macro_fem.scene.tables import Bar, Item, Wind
-from rve import solve_table, with_rings
-from rve.common import InputError, checked, csv_text, digits, job, part_of, shown, write_text
-from rve.common.drawing.plane import new_axes, save_figure
+from macro_fem.scene.shapes import MeshFile
+from macro_fem.scene.sites import Hanging
+from macro_fem.trials import MAY_GOVERN, VARIED, Row, Sought, Trials, Who
+from rve.common import Array, InputError, checked, csv_text, digits, job, noted_if_stopped, shown, write_text
+from rve.common.commands.sweeps import side_by_side
+from rve.common.drawing.plane import BLUE, VERMILION, new_axes, save_figure
 from rve.common.typed import not_one_of
 
-VARIED: dict[str, tuple[str, str, Callable[[Item], bool]]] = {
-    "pitch": ("mm", "hooks or runners", lambda item: bool(getattr(item, "has_hooks", False))),
-    "mass": ("kg", "bar", lambda item: isinstance(item, Bar)),
-    "speed": ("m/s", "wind with a speed", lambda item: isinstance(item, Wind) and item.speed is not None),
-    "r2": ("mm", "wire of rings", lambda item: False),
-}
-"""What may be varied: its unit, and what of a scene has it."""
-COARSE, MOST = 5, 12
-"""Values of the first round, and most values between the last one of them that holds and the next."""
-CLOSE = 2e-3
-"""A factor this close above the one asked for, or a gap between values of this part of the range, ends the search."""
+WIDTH, COARSE_WIDTH = 5e-3, 5e-2
+"""Distance of the last value that holds and the next one over the value; on a coarser mesh, which only guides."""
+FEWEST, PER_DECADE, MOST_ROUNDS = 5, 2, 20
+"""Values of the first round, at least and in each power of ten, and most rounds of one or two after it."""
+NEAR = 20.0
+"""An answer this many widths from where the curve crosses says where, well enough to try both sides of the place."""
+LARGE, LEAST_COARSE = 48, 16
+"""Cells along the width from which a coarser mesh guides the search, and the fewest of that mesh."""
+KEPT = ".size"
+"""Folder of answers inside that of the result."""
 RINGS_NOT_JUDGED = (
     "the law does not tell the strength of rings, so that the factor is that of hooks or runners alone: make the table "
     "with rve table --rings, in Python rve.with_rings(table, cell), and fit it again"
 )
+Uses = dict[float, float]
+"""Logarithm of asked over found factor by value: at most 0 where it holds, inf where there is no answer."""
 
 
 @dataclass(frozen=True)
-class Row:
-    """One value that was tried, and how the solver ended; `factor` is the least of all links, rings and hooks,
-    `safety_factor` that of the rings alone, too large where `utilisation_too_low` says why."""
+class Range:
+    """Values from `low` to `high`, or only those of the `grid`; from -log or log on, curtains hold less along it."""
 
-    value: float
-    factor: float | None
-    safety_factor: float | None
-    weakest: str | None
-    status: str
-    utilisation_too_low: str | None = None
+    low: float
+    high: float
+    grid: tuple[float, ...] = ()
+    sign: float = 1.0
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The first value, and the last one, that of the largest load."""
+        low, high = (self.grid[0], self.grid[-1]) if self.grid else (self.low, self.high)
+        return (low, high) if self.sign > 0.0 else (high, low)
+
+    def way(self, value: float) -> float:
+        """Where a value is along the range."""
+        return self.sign * math.log(value)
+
+    def first_round(self) -> list[float]:
+        """Values of the first round, even in their logarithms."""
+        first, last = map(self.way, self.ends)
+        number = max(FEWEST, 1 + math.ceil(PER_DECADE * (last - first) / math.log(10.0)))
+        places = np.linspace(first, last, number).tolist()
+        values = {self.ends[0]: 0, self.ends[1]: 0} | {self.value(at): 0 for at in places[1:-1]}
+        return sorted(values, key=self.way)
+
+    def around(self, at: float, width: float, left: float, right: float) -> list[float]:
+        """Two values around a place, less than `width` apart, that lie between the places `left` and `right`."""
+        if self.grid:
+            between = sorted((v for v in self.grid if left < self.way(v) < right), key=self.way)
+            k = bisect_left(between, at, key=self.way)
+            return between[max(k - 1, 0) : k + 1]
+        both = {self.value(at + part * math.log1p(width)) for part in (-0.35, 0.35)}
+        return sorted((v for v in both if left < self.way(v) < right), key=self.way)
+
+    def value(self, at: float) -> float:
+        """The value at a place, of four digits or of the grid, inside the range."""
+        first, last = map(self.way, self.ends)
+        value = math.exp(self.sign * min(max(at, first), last))
+        if self.grid:
+            return min(self.grid, key=lambda one: abs(math.log(one / value)))
+        rounded = float(f"{value:.4g}")
+        return min(max(rounded, self.low), self.high)
+
+
+def bracket(uses: Uses, span: Range) -> tuple[float | None, float | None]:
+    """The last value that holds, and the first one after it that does not; None where there is none."""
+    order = sorted(uses, key=span.way)
+    good = next((value for value in reversed(order) if uses[value] <= 0.0), None)
+    beyond = [value for value in order if good is None or span.way(value) > span.way(good)]
+    return good, next(iter(beyond), None)
+
+
+def search(
+    use: Callable[[Sequence[float]], Uses],
+    span: Range,
+    first: Sequence[float] = (),
+    width: float = WIDTH,
+    guide: Uses | None = None,
+) -> tuple[float | None, float | None]:
+    """`bracket` of all values that `use`, which answers for more of them, is asked for, beginning with `first`, until
+    its ends are `width` apart or neighbours of the grid, or one of them is the end of the range.
+
+    guide: uses on a coarser mesh, whose curve, shifted and tilted, is followed instead of a straight line.
+    """
+    uses, gaps = use(first), [math.inf, math.inf]
+    for _ in range(MOST_ROUNDS):
+        good, bad = bracket(uses, span)
+        gaps.append(math.inf if good is None or bad is None else span.way(bad) - span.way(good))
+        if not (values := _next_values(uses, span, width, guide, is_slow=gaps[-1] > 0.5 * gaps[-3])):
+            break
+        uses = use(values)
+    return bracket(uses, span)
+
+
+def _next_values(uses: Uses, span: Range, width: float, guide: Uses | None, *, is_slow: bool) -> list[float]:
+    """What to try next: where the curve through the answers crosses 0, and, if one is near, on both sides of this
+    place; or the end of the range that it does not reach; none at the end of the search.
+
+    is_slow: two rounds have hardly brought the ends closer, so thirds of the way between them are tried.
+    """
+    (good, bad), (first, last) = bracket(uses, span), span.ends
+    if good == last or (good is None and first in uses):
+        return [] if good == last else _peak(uses, span, width)
+    left = span.way(first if good is None else good)
+    right = span.way(last if bad is None else bad)
+    if good is not None and bad is not None:
+        if right - left <= math.log1p(width):
+            return []
+        if is_slow and not span.grid:
+            return [v for part in (1 / 3, 2 / 3) for v in span.around(left + part * (right - left), 0.0, left, right)]
+    known = sorted((span.way(value), log) for value, log in uses.items() if log < math.inf)
+    at, distance = 0.5 * (left + right), math.inf
+    if known:
+        curve = _curve(known, span, guide, places := np.linspace(left, right, 401))
+        crossings = np.flatnonzero((curve[:-1] <= 0.0) & (curve[1:] > 0.0))
+        if len(crossings):
+            k = crossings[-1 if good is None else 0]
+            at = float(places[k] - curve[k] * (places[k + 1] - places[k]) / (curve[k + 1] - curve[k]))
+            distance = min(abs(place - at) for place, _ in known)
+        elif (is_end := bad is None and curve[0] <= 0.0) or (good is None and curve[0] > 0.0):
+            return [last if is_end else first]
+    return span.around(at, width if distance < NEAR * width else 0.0, left, right)
+
+
+def _curve(known: Sequence[tuple[float, float]], span: Range, guide: Uses | None, places: Array) -> Array:
+    """log use at places along the range: that of a coarser mesh, else of a load whose factor is one over it, and what
+    the known answers differ by, monotone between them and straight beyond."""
+    coarse = sorted((span.way(value), log) for value, log in (guide or {}).items() if log < math.inf)
+
+    def shape(at: Array) -> Array:
+        return np.interp(at, *np.transpose(coarse)) if coarse else at
+
+    place, log = np.transpose(known)
+    shift = log - shape(place)
+    curve = shape(places) + (
+        shift[0] if len(known) == 1 else PchipInterpolator(place, shift, extrapolate=False)(places)
+    )
+    for end, beyond in ((0, places < place[0]), (-1, places > place[-1])):
+        far = np.flatnonzero(np.abs(place - place[end]) > 2.0 * WIDTH)  # two that are close tell no slope
+        other = far[end] if len(far) else end
+        slope = (shift[other] - shift[end]) / (place[other] - place[end]) if len(far) else 0.0
+        curve[beyond] = shape(places[beyond]) + shift[end] + slope * (places[beyond] - place[end])
+    return np.asarray(curve)
+
+
+def _peak(uses: Uses, span: Range, width: float) -> list[float]:
+    """Where nothing holds, the place between answers at which the parabola through the best three says that it may."""
+    order = sorted(uses, key=span.way)
+    best = min(range(len(order)), key=lambda k: uses[order[k]])
+    three = order[max(best - 1, 0) : best + 2]
+    if len(three) < 3 or not all(uses[value] < math.inf for value in three):
+        return []
+    a, b, c = np.polyfit([span.way(value) for value in three], [uses[value] for value in three], 2)
+    at = -0.5 * b / a if a > 0.0 else math.nan
+    left, right = span.way(three[0]), span.way(three[2])
+    is_far = all(abs(span.way(value) - at) > math.log1p(width) for value in three)
+    return span.around(at, width, left, right) if left < at < right and is_far and c + 0.5 * b * at <= 0.0 else []
 
 
 @dataclass(frozen=True)
 class Size:
-    """The largest `value` of what is varied, of r2 the least, where the factor is at least the one asked for; `curve`:
-    all values that were tried, in order; `note`: why rings are not judged, or judged too well, or why
-    the next value has no answer."""
+    """The largest `value` of what is varied, of r2 the least, where the factor is at least the one asked for, and what
+    the `next` one has; None where none holds, or the end of the range does. `curve`: all values that were tried, in
+    order; `estimates`: those on a coarser mesh. `note`: why rings are not judged, or judged too well, why the next
+    value has no answer, and which smaller ones do not hold.
+    """
 
     vary: str
-    value: float
+    value: float | None
     safety_factor: float | None
-    factor: float
+    factor: float | None
     weakest: str | None
     factor_asked: float
     curve: tuple[Row, ...]
     note: str | None = None
+    governing_combination: str | None = None
+    next_value: float | None = None
+    next_factor: float | None = None
+    searched: tuple[float, float] = (0.0, 0.0)
+    estimates: tuple[Row, ...] = ()
 
     def __str__(self) -> str:
-        text = f"{self.vary} = {self.value:.6g} {VARIED[self.vary][0]} is the last that holds with a factor"
-        return f"{text} {self.factor_asked:g}: {digits(self.factor)} ({self.weakest})"
+        unit, asked, (low, high) = VARIED[self.vary][0], f"a factor {self.factor_asked:g}", self.searched
+        if self.value is None:
+            return f"no {self.vary} from {low:g} to {high:g} holds with {asked}: {_why_none(self.curve)}"
+        under = f" under {self.governing_combination}" if self.governing_combination else ""
+        held = f"{digits(self.factor or 0.0, 4)} ({self.weakest}{under})"
+        text = f"{self.vary} = {self.value:.6g} {unit}"
+        if self.next_value is None:
+            way = f"{'down' if self.vary == 'r2' else 'up'} to {self.value:.6g}"
+            every = " holds" if self.failing else f": all values {way} hold"
+            return f"{text}, the end of the range{every} with {asked}: {held}"
+        after = "no answer" if self.next_factor is None else digits(self.next_factor, 4)
+        return f"{text} is the last that holds with {asked}: {held}; {self.next_value:.6g} {unit}: {after}"
+
+    @property
+    def failing(self) -> list[Row]:
+        """What does not hold although the `value` does, which needs more: known on this mesh, or clear on a coarser
+        one."""
+        sign, most = -1.0 if self.vary == "r2" else 1.0, self.factor_asked
+        rows = [row for row in self.curve if (row.factor or 0.0) < most]
+        rows += [row for row in self.estimates if MAY_GOVERN * (row.factor or 0.0) < most]
+        return [row for row in rows if self.value is not None and sign * row.value < sign * self.value]
 
     @checked
     def save(self, folder: str | Path, *, picture: bool = True) -> dict[str, Any]:
-        """Write size.json, size.csv and size.png into `folder`; the record."""
+        """Write size.json and size.csv into `folder`, then size.png; the record."""
         record = asdict(self)
         with job(folder, "size.json", record) as staged:
-            rows = record["curve"]
-            value = f"{self.vary}_{VARIED[self.vary][0].replace('/', '_per_')}"
-            write_text(staged / "size.csv", csv_text([value, *list(rows[0])[1:]], (row.values() for row in rows)))
-            if picture:
+            write_text(staged / "size.csv", csv_of(self.vary, self.curve))
+        if picture:
+            with job(folder, "size.json", record, adds=True) as staged:
                 _draw(staged / "size.png", self)
         return record
 
 
+def csv_of(vary: str, rows: Sequence[Row]) -> str:
+    """The table of rows, whose first column is what is varied, with its unit."""
+    names = [f"{vary}_{VARIED[vary][0].replace('/', '_per_')}", *list(Row.__dataclass_fields__)[1:]]
+    return csv_text(names, (asdict(row).values() for row in rows))
+
+
+def _why_none(rows: Sequence[Row]) -> str:
+    """What the answers say where no value holds."""
+    most = max(rows, key=lambda row: row.factor or 0.0)
+    if not most.factor:
+        return most.status
+    unsolved = [row for row in rows if row.factor is None]
+    more = f"; {len(unsolved)} values have no answer ({unsolved[0].value:g}: {unsolved[0].status})" if unsolved else ""
+    return f"the largest factor is {digits(most.factor)}, at {most.value:g}{more}"
+
+
 @checked
-def largest_that_holds(
-    scene: Scene, who: MembraneLaw | LawInterval | OnDemand | None, vary: str, ends: tuple[float, float], factor: float
-) -> Size:
+def largest_that_holds(scene: Scene, who: Who, vary: str, ends: tuple[float, float], factor: float) -> Size:
     """The largest value of `vary` between both `ends` at which the factor of the curtain is at least `factor`; the
     least one of r2, since thicker wire costs more and loads hooks more.
 
-    A pitch has only values that divide the edge. The factor is taken to cross `factor` once between two values of the
-    first round, which are spread evenly. A value without an answer does not hold. For r2 `who` is an `OnDemand`, of
-    whose rings a table is made with each wire. InputError for a quantity that the scene has not, ends out of order, and
-    where no value holds.
+    A pitch has only values that divide the edge. A value without an answer does not hold. For r2 `who` is an
+    `OnDemand`, of whose rings a table is made with each wire. InputError for a quantity that the scene has not, ends
+    out of order, and where no value holds.
     """
-    low, high = ends
-    if not 0.0 < low < high < np.inf:
-        raise InputError(f"--from = {low:g}, --to = {high:g}: give two positive values, the smaller one first")
-    if not 0.0 < factor < np.inf:
-        raise InputError(f"--factor = {factor:g}: must be positive")
-    _check(scene, who, vary)
-    is_pitch = vary == "pitch"
-    values = _pitches(scene, low, high) if is_pitch else np.linspace(low, high, COARSE).tolist()
-    rows: dict[float, Row] = {}
-
-    def use(value: float) -> float:
-        """Asked over found factor: at most 1 where the curtain holds, inf where there is no answer."""
-        if value not in rows:
-            with part_of(f"{vary} = {value:.6g}"):
-                rows[value] = _row(scene, who, vary, value)
-        return np.inf if (known := rows[value].factor) is None else factor / known
-
-    best = search(use, values[::-1] if vary == "r2" else values, between=not is_pitch)
-    if best is None:
-        most = max(rows.values(), key=lambda row: row.factor or 0.0)
-        why = f"the largest factor is {digits(most.factor)}, at {most.value:g}" if most.factor else most.status
-        unsolved = [row for row in rows.values() if row.factor is None]
-        if most.factor and unsolved:
-            why += f"; {len(unsolved)} values have no answer ({unsolved[0].value:g}: {unsolved[0].status})"
-        scene.refuse(f"no {vary} from {low:g} to {high:g} holds with a factor {factor:g}: {why}")
-    found = rows[best]
-    assert found.factor is not None
-    tried = sorted(rows, reverse=vary == "r2")
-    beyond = [rows[value] for value in tried[tried.index(best) + 1 :]]
-    note = RINGS_NOT_JUDGED if found.safety_factor is None else found.utilisation_too_low
-    if not note and beyond and beyond[0].factor is None:
-        note = f"{vary} = {beyond[0].value:g} has no answer: {beyond[0].status}"
-    curve = tuple(rows[value] for value in sorted(rows))
-    return Size(vary, best, found.safety_factor, found.factor, found.weakest, factor, curve, note)
-
-
-def search(use: Callable[[float], float], values: Sequence[float], *, between: bool) -> float | None:
-    """The last of `values`, in order, with a use of at most 1, None if none has, by halving; or one `between` them, by
-    interpolation, as the use is nearly linear in what is varied."""
-    few = range(len(values)) if between else np.unique(np.linspace(0, len(values) - 1, COARSE).round().astype(int))
-    good = [int(k) for k in few if use(values[k]) <= 1.0]
-    if not good or good[-1] == len(values) - 1:
-        return values[good[-1]] if good else None
-    first = good[-1], next(int(k) for k in few if k > good[-1])
-    if not between:
-        return values[bisect_right(range(len(values)), 1.0, *first, key=lambda k: use(values[k])) - 1]
-    low, high = (values[k] for k in first)
-    for _ in range(MOST):
-        if use(low) > 1.0 - CLOSE or abs(high - low) < CLOSE * abs(values[-1] - values[0]):
-            break
-        # Aimed a little below 1, so that the values that are tried end on the side that holds.
-        way = (1.0 - 0.5 * CLOSE - use(low)) / (use(high) - use(low)) if use(high) < np.inf else 0.5
-        value = low + (high - low) * min(max(way, 0.05), 0.95)
-        low, high = (value, high) if use(value) <= 1.0 else (low, value)
-    return low
-
-
-def _pitches(scene: Scene, low: float, high: float) -> list[float]:
-    """The pitches from `low` to `high` that divide the longest line of the first row of hooks, in order."""
-    length = next(iter(build_mesh(_changed(scene, "pitch", high), None).hooks.values())).length
-    counts = range(int(np.floor(length / low * (1.0 + 1e-9))), int(np.ceil(length / high * (1.0 - 1e-9))) - 1, -1)
-    found = [length / count for count in counts if count > 0]
-    if not found:
-        raise InputError(f"no pitch from {low:g} to {high:g} mm divides the edge of {length:g} mm: widen the range")
+    found = find_size(Sought(scene, who, vary, factor), ends)
+    if found.value is None:
+        scene.refuse(str(found))
     return found
 
 
-def _check(scene: Scene, who: Any, vary: str) -> None:
+def find_size(sought: Sought, ends: tuple[float, float], *, out: Path | None = None, jobs: int | None = 1) -> Size:
+    """`largest_that_holds`, with `value` None where none does. out: a folder where each answer is kept as it comes, in
+    size.csv too, and from which the same search goes on; jobs: processes, None for one a core where the mesh is large.
+    """
+    (low, high), vary = ends, sought.vary
+    if not 0.0 < low < high < np.inf:
+        raise InputError(f"--from = {low:g}, --to = {high:g}: give two positive values, the smaller one first")
+    if not 0.0 < sought.factor < np.inf:
+        raise InputError(f"--factor = {sought.factor:g}: must be positive")
+    _check(sought)
+    grid = _pitches(sought, low, high) if vary == "pitch" else ()
+    span = Range(low, high, grid, -1.0 if vary == "r2" else 1.0)
+    first: Sequence[float] = span.first_round()
+    cells, note = _coarser(sought), "give --out FOLDER to keep the answers"
+    if out is not None:
+        note = f"what is answered is kept in {out}, and the same command goes on from there"
+    trials = Trials(sought, None if out is None else out / KEPT)
+    if out is not None:
+        trials.on_answer = lambda: write_text(out / "size.csv", csv_of(vary, trials.rows))
+    jobs = jobs or (os.cpu_count() or 1 if cells else 1)
+    with noted_if_stopped(note), side_by_side(jobs) if jobs > 1 else nullcontext() as trials.pool:
+        trials.planned, guide = 3, None
+        if cells:
+            trials.guide = Trials(replace(sought, cells=cells), trials.folder, trials.pool, planned=6)
+            first, guide = _guided(trials.guide, span, first), trials.guide.use(())
+        while True:
+            good, bad = search(trials.use, span, first, guide=guide)
+            first = ()
+            if good is None or not trials.ask([(good, case) for case in sought.cases]):
+                return _size_of(trials, span, good, bad)
+
+
+def _guided(guide: Trials, span: Range, first: Sequence[float]) -> Sequence[float]:
+    """Where to begin after a search on a coarser mesh: where its curve crosses, or at its best value."""
+    good, bad = search(guide.use, span, first, COARSE_WIDTH)
+    uses = guide.use(())
+    if min(uses.values()) == math.inf:
+        return first
+    if good is None or bad is None or uses[bad] == math.inf:
+        return [good or min(uses, key=lambda value: uses[value])]
+    part = uses[good] / (uses[good] - uses[bad])
+    return [span.value((1.0 - part) * span.way(good) + part * span.way(bad))]
+
+
+def _size_of(trials: Trials, span: Range, good: float | None, bad: float | None) -> Size:
+    """The record of a search that ended between two values."""
+    sought, rows = trials.sought, {row.value: row for row in trials.rows}
+    estimates = () if trials.guide is None else tuple(trials.guide.rows)
+    size = Size(sought.vary, good, None, None, None, sought.factor, tuple(trials.rows))
+    size = replace(size, searched=(span.low, span.high), estimates=estimates)
+    if good is None:
+        return size
+    row, notes = rows[good], list[str | None]()
+    notes.append(RINGS_NOT_JUDGED if row.safety_factor is None else row.utilisation_too_low)
+    if bad is not None:
+        if rows[bad].factor is None:
+            notes.append(f"{sought.vary} = {bad:.6g} has no answer: {rows[bad].status}")
+        size = replace(size, next_value=bad, next_factor=rows[bad].factor)
+    if size.failing:
+        least = min(size.failing, key=lambda one: one.factor or 0.0)
+        side = "larger" if sought.vary == "r2" else "smaller"
+        told = f"a factor {digits(least.factor)}" if least.factor else "no answer"
+        notes.append(f"{side} values do not all hold: {least.value:.6g} has {told}")
+    kept = {key: vars(row)[key] for key in ("factor", "safety_factor", "weakest", "governing_combination")}
+    return replace(size, note="; ".join(filter(None, notes)) or None, **kept)
+
+
+def _coarser(sought: Sought) -> int | None:
+    """Cells along the width of a coarser mesh that guides the search, with a node for every hook; None without one."""
+    scene, cells = sought.scene, sought.scene.mesh.cells
+    if isinstance(scene.curtain, MeshFile) or scene.solver.is_bounded or isinstance(sought.who, OnDemand):
+        return None
+    width = float(np.ptp(scene.curtain.corners(cells)[:, 0]))
+    hooks = [one.spaces(width) for one in scene.of(Hanging) if one.has_hooks and sought.vary != "pitch"]
+    coarse = max(cells // 3, LEAST_COARSE, *hooks)
+    return coarse if cells >= LARGE and cells >= 2 * coarse else None
+
+
+def _pitches(sought: Sought, low: float, high: float) -> tuple[float, ...]:
+    """The pitches from `low` to `high` that divide the longest line of the first row of hooks, in order."""
+    length = next(iter(build_mesh(sought.at(high), None).hooks.values())).length
+    counts = range(int(np.floor(length / low * (1.0 + 1e-9))), int(np.ceil(length / high * (1.0 - 1e-9))) - 1, -1)
+    pitches = tuple(length / count for count in counts if count > 0)
+    if not pitches:
+        raise InputError(f"no pitch from {low:g} to {high:g} mm divides the edge of {length:g} mm: widen the range")
+    return pitches
+
+
+def _check(sought: Sought) -> None:
     """InputError for what is not there to be varied."""
+    scene, vary = sought.scene, sought.vary
     if scene.motion is not None:
         scene.refuse("[motion]: is for a curtain over time, which is not sized")
     if vary not in VARIED:
         raise InputError(f"--vary = {shown(vary)}: {not_one_of(vary, VARIED)}")
     _, what, has = VARIED[vary]
     if vary == "r2":
-        if not isinstance(who, OnDemand):
+        if not isinstance(sought.who, OnDemand):
             raise InputError("--vary r2: needs the rings, by --rings R1,R2, since a law is of one wire")
     elif not any(map(has, scene.items)):
         scene.refuse(f"--vary {vary}: the scene has no {what}")
 
 
-def _row(scene: Scene, who: Any, vary: str, value: float) -> Row:
-    try:
-        if vary == "r2":
-            cell = replace(who.cell, r2=value)
-            who = fit(with_rings(solve_table(cell), cell)).law
-        else:
-            scene = _changed(scene, vary, value)
-        told = solve(scene, who).summary
-    except InputError as error:
-        return Row(value, None, None, None, str(error))
-    if told["status"] != "converged":
-        return Row(value, None, None, None, str(told["message"]))
-    worst = told.get("envelope", told)
-    if (factor := worst["weakest_factor"]) is None:
-        unknown = f"the strength of the rings is not known: {told['strength_note']}"
-        return Row(value, None, None, None, unknown if told["utilisation_max"] is None else "there is no load")
-    return Row(value, factor, worst["safety_factor"], worst["weakest"], "converged", worst["utilisation_too_low"])
-
-
-def _changed(scene: Scene, vary: str, value: float) -> Scene:
-    """The scene with the value in every part that has it."""
-    has = VARIED[vary][2]
-    changes: Any = {vary: value} | ({"count": None} if vary == "pitch" else {})
-    items: list[Any] = list(scene.items)
-    mesh = scene.mesh
-    if vary == "pitch" and isinstance(scene.curtain, Rectangle):  # hooks are nodes of the mesh
-        mesh = replace(mesh, cells=max(mesh.cells, int(np.ceil(scene.curtain.width / value))))
-    return replace(scene, mesh=mesh, items=tuple(replace(item, **changes) if has(item) else item for item in items))
-
-
 def _draw(path: Path, size: Size) -> None:
-    """The factor over the value."""
+    """The factor over the value, both on logarithmic scales where they span much."""
     ax, (unit, *_) = new_axes(6.4, 4.0), VARIED[size.vary]
-    known = [(row.value, row.factor) for row in size.curve if row.factor is not None]
-    ax.plot(*np.transpose(known), "o-", color="#1f3a5f", ms=4)
-    ax.axhline(size.factor_asked, color="#bd1f01", lw=1.0, label=f"factor {size.factor_asked:g}")
-    ax.axvline(size.value, color="#717581", lw=1.0, ls="--", label=f"{size.vary} = {size.value:.6g} {unit}")
-    top = 1.1 * max(size.factor_asked, *(factor for _, factor in known))
-    ax.set(xlabel=f"{size.vary} ({unit})", ylabel="factor until the first link gives", ylim=(0.0, top))
+    marks = (
+        (size.estimates, "o--", "#9aa3b2", "on a coarser mesh"),
+        (size.curve, "o-", BLUE, "on the mesh of the scene"),
+    )
+    for rows, style, colour, label in marks:
+        known = [(row.value, row.factor) for row in rows if row.factor is not None]
+        if known:
+            ax.plot(*np.transpose(known), style, color=colour, ms=4, label=label)
+    ax.axhline(size.factor_asked, color=VERMILION, lw=1.0, label=f"factor {size.factor_asked:g}")
+    if size.value is not None:
+        ax.axvline(size.value, color="#717581", lw=1.0, ls="--", label=f"{size.vary} = {size.value:.6g} {unit}")
+    if size.searched[1] > 10.0 * size.searched[0]:
+        ax.set(xscale="log", yscale="log")
+    else:
+        ax.set_ylim(bottom=0.0)
+    ax.set(xlabel=f"{size.vary} ({unit})", ylabel="factor until the first link gives")
     ax.legend(frameon=False)
     ax.grid(alpha=0.3)
     save_figure(path, ax.figure)

@@ -164,6 +164,14 @@ class CurtainSolution(Judged):
         """Mean of y over the reference area, mm."""
         return float(self.mean_place()[1])
 
+    def lean(self) -> float:
+        """How far the lower end hangs to the right of the upper one, mm: the mean over the reference area of the part
+        of its upright lines along x, in space along its level lines, which follow a track; times its height."""
+        F1, F2 = np.moveaxis(self.F, -1, 0)
+        ahead = F1 if self.problem.fem.d == 3 else np.eye(2)[[0] * len(F1)]
+        along = (ahead * F2).sum(axis=1) / np.maximum(np.linalg.norm(ahead, axis=1), 1e-300)
+        return -self.problem.mesh.height * float(np.average(along, weights=self.problem.disc.weight))
+
     def places(self, X: Array) -> Array:
         """Where the points X (n, 2) in mm of the reference are, (n, 3) in mm, linear between the nodes.
 

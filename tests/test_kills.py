@@ -1,4 +1,5 @@
-"""A command of each kind killed at three times: what it leaves is the old or the new result, or is refused."""
+"""A command of each kind killed at three times: what it leaves is the old or the new result, or is refused.
+Searches and sweeps killed twelve times lose no answer."""
 
 import json
 import os
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from glob import glob  # a folder that goes while it looks is none, which raises in pathlib
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from rve.common.files import checksum
@@ -164,3 +166,39 @@ def test_twelve_kills_of_a_motion_lose_no_step(tmp_path):
     assert table.read_text() == (tmp_path / "whole" / "motion.csv").read_text()
     names = sorted(path.name for path in table.parent.iterdir())
     assert names == sorted(path.name for path in (tmp_path / "whole").iterdir())
+
+
+BARRED = SCENE.format(cells=3).replace("corners", "top") + "[load.bar]\nmass = {mass}\n"
+KEEPING = {
+    "size": (
+        ".size",
+        "size.csv",
+        ("size", "1.toml", "--vary", "mass", "--from", "1e-3", "--to", "1e3", "--factor", "2"),
+    ),
+    "sweep": (".sweep", "sweep.csv", ("sweep", *(f"{number}.toml" for number in range(1, 15)))),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", KEEPING)
+def test_twelve_kills_lose_no_answer(tmp_path, name):
+    """Each kill comes as soon as an answer is kept; files of answers stay, and the end is that of an unbroken run."""
+    marks, table, words = KEEPING[name]
+    for number in range(1, 15):
+        (tmp_path / f"{number}.toml").write_text(BARRED.format(mass=0.1 * number))
+    kept = dict[str, int]()
+    for _ in range(12):
+        process = start(module("macro_fem", *words, "--out", "out", "--no-picture"), tmp_path)
+        while process.poll() is None and len(glob(f"{tmp_path}/out/{marks}/*.json")) <= len(kept):
+            time.sleep(1e-3)
+        process.kill()
+        process.wait()
+        now = {path: os.stat(path).st_mtime_ns for path in glob(f"{tmp_path}/out/{marks}/*.json")}
+        assert now.items() >= kept.items()
+        kept = now
+    assert len(kept) >= 12
+    for out in ("out", "whole"):
+        finish(module("macro_fem", *words, "--out", out, "--no-picture"), tmp_path)
+    assert {path: os.stat(path).st_mtime_ns for path in kept} == kept
+    both = [pd.read_csv(tmp_path / out / table) for out in ("out", "whole")]
+    pd.testing.assert_frame_equal(*both, rtol=1e-6)

@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import shlex
 import sys
 import threading
@@ -136,6 +137,16 @@ def test_the_last_line_of_a_piped_command_says_what_to_do_next(command, there):
     GROUPS[script].commands[following].make_context(following, list(words))
     assert words[0].startswith("--") or os.path.exists(words[0])
     assert "._rings" not in words
+
+
+def test_a_search_tells_a_pipe_value_factor_and_how_much_is_left(there, monkeypatch):
+    monkeypatch.setattr(GROUPS["macro_fem"].commands["size"], "period_s", 0.0)  # else every 10 s
+    words = "macro_fem", "size", *COMMANDS["macro_fem size"]
+    lines = run(*words).stderr.splitlines()
+    told = r"mass = 1 kg, about \d+ answers left, [\d.]+ s each; 0\.7071 kg: factor [\d.]+"
+    assert lines[0].startswith("mass = 0.5 kg, the first of about 8 answers")
+    assert any(re.match(told, line) for line in lines), lines
+    assert run(*words, "--quiet").stderr == ""
 
 
 @pytest.mark.parametrize("command", ["rve table", "homogenize support", "macro_fem run"])

@@ -1,5 +1,6 @@
 """Forces on a curtain: of supports, of obstacles and at points; in sum, as tables, and as arrows for pictures."""
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,10 +14,13 @@ from macro_fem.scene.scene import Scene
 from macro_fem.scene.sites import point_node
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind, in_3d
 from macro_fem.solution import CurtainSolution
-from rve.common import Array
+from rve.common import Array, digits
 
 TOUCHES = 1e-6
 """A push below this part of the loads does not count as contact of its node."""
+IDLE, CHANGED = 0.02, 1.2
+"""Share of the largest force below which that of a point does not matter, and from how many times on its change with
+the mesh is told."""
 MOST_ARROWS = 16
 """Forces of an edge, of all obstacles and of wind are summed up into this many arrows, a power of two."""
 
@@ -93,6 +97,35 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
         held_mm = float(np.hypot(*problem.mesh.sides[held.facets].T).sum())
         forces.append(found | {"nodes_held": len(held.nodes), "length_held_mm": held_mm, "points": points})
     return forces
+
+
+def change_of_forces(supports: list[dict[str, Any]], coarser: list[dict[str, Any]] | None) -> str | None:
+    """By how much forces of single points differ from those on a `coarser` mesh, in a sentence; None where they hardly
+    do. None for that: the mesh has one cell between two of them, and none is coarser."""
+    if coarser is None:
+        return (
+            "cells are about as wide as hooks or runners are apart, so that no coarser mesh tells how well forces of "
+            "single ones are known; they may change by more than twice: twice as many cells let them be compared"
+        )
+    each: list[tuple[str, float, float]] = []
+    for number, (one, other) in enumerate(zip(supports, coarser, strict=True), 1):
+        of = f" of support {number}" if len(supports) > 1 else ""
+        for point, same in zip(one["points"], other["points"], strict=False):
+            if "largest_force_per_ring_N" in one:
+                fine, coarse = (float(np.linalg.norm(part["force_N"])) for part in (point, same))
+                each.append((f"{point['point']}{of}", fine, coarse))
+    if not each:
+        return None
+    most = max(one[1] for one in each), max(one[2] for one in each)
+    bearing = [one for one in each if max(one[1:]) > IDLE * most[0]]
+    name, fine, coarse = max(bearing, key=lambda one: abs(math.log(max(one[1], 1e-12) / max(one[2], 1e-12))))
+    if (ratio := max(fine, coarse) / max(min(fine, coarse), 1e-12)) < CHANGED:
+        return None
+    return (
+        f"forces of single points change with the mesh: {name} bears {digits(fine)} N, on cells twice as large "
+        f"{digits(coarse)} N, {digits(ratio, 2)} times; the largest force is {digits(most[0])} N, there "
+        f"{digits(most[1])} N; take more cells until they stay"
+    )
 
 
 def own_forces(holds: Iterable[np.ndarray], reactions: Array) -> Iterator[tuple[np.ndarray, Array, float]]:

@@ -27,6 +27,8 @@ STEPS = np.linspace(0.0, 1.5, 7)
 FINE = 0.25
 """Sides of mesh cells over that of the averaging area up to which an average at a held point counts as known: 5 to
 15 % below that of finer meshes (docs/measured/steel.md, cells of 3 mm). Smaller: flags more meshes as too coarse."""
+ALIKE = 1e-6
+"""Relative difference of values that are taken for the same where a place is named."""
 SAME = 1e-9
 """Part of the curtain's area by which an average of all of it may miss, as areas in disks are rounded."""
 
@@ -91,22 +93,26 @@ class Nearby:
     def largest(self, value: Callable[[Array], Array], most: float = 1.0) -> Extreme:
         """The largest value (n,) of averages (n, ...) at the corners of the mesh; it is at most `most` times `size`.
 
-        Places are visited in the order of this bound, until it is no more than the largest value found.
+        Places are visited in the order of this bound, until it is no more than the largest value found. Of places where
+        the value is the same up to `ALIKE` the first is named, as the rest is rounding.
         """
         bound = most * self.bound
-        order = np.argsort(-bound, kind="stable")
+        order = np.argsort(-np.round(bound / max(float(bound.max()), 1e-300) / ALIKE), kind="stable")
         best = Extreme(0.0, self.points[order[0]])
         for i in order:
-            if bound[i] <= best.value:
+            if bound[i] * (1.0 + ALIKE) <= best.value:
                 break
             mean = self.mean(self.points[i])
             found = float(value(mean[None])[0])
-            best = Extreme(found, self.points[i], mean) if found > best.value else best
+            if found > (1.0 + ALIKE) * best.value:
+                best = Extreme(found, self.points[i], mean)
+            best = best._replace(value=max(found, best.value))
         return best
 
-    def mean(self, x: Array) -> Array:
-        """P averaged over the area nearest to x (2,); over all triangles if they have less."""
-        cells, part, _ = self._nearest(x)
+    def mean(self, x: Array, area: float = 0.0) -> Array:
+        """P averaged over the area nearest to x (2,), or over another `area` (mm2) if that is larger; over all
+        triangles if they have less."""
+        cells, part, _ = self._nearest(x, area)
         return np.asarray(np.tensordot(part, self.P[cells], axes=1) / part.sum())
 
     def chord(self, x: Array, m: Array) -> float:
@@ -120,9 +126,9 @@ class Nearby:
         cells = np.array(self.tree.query_ball_point(x, radius + self.half.max(), return_sorted=True), dtype=int)
         return cells[np.linalg.norm(self.middle[cells] - x, axis=1) <= radius + self.half[cells]]
 
-    def _nearest(self, x: Array) -> tuple[np.ndarray, Array, float]:
+    def _nearest(self, x: Array, area: float = 0.0) -> tuple[np.ndarray, Array, float]:
         """Triangles (k,) that the disk around x (2,) meets, the area (k,) of each in it, and its radius."""
-        wanted = min(self.area, (1.0 - SAME) * self.whole)
+        wanted = min(max(self.area, area), (1.0 - SAME) * self.whole)
         reach = float(np.sqrt(wanted / np.pi))
 
         def areas(radius: float) -> Array:

@@ -1,7 +1,7 @@
 """Pictures of solved curtains; plot functions take a solution and axes, and return the axes."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from rve.common import (
     tell,
 )
 from rve.common.drawing import space
-from rve.common.drawing.plane import Scale, new_axes, new_figure, save_figure
+from rve.common.drawing.plane import Scale, new_axes, new_figure, round_top, save_figure
 from rve.common.files import UNREADABLE
 from rve.common.optional import Axes, Figure
 
@@ -148,11 +148,20 @@ def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
 
 
 def plot_utilisation(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
-    """The deformed curtain coloured by the utilisation of its rings, 1 where they yield; InputError if not known."""
+    """The deformed curtain coloured by the utilisation of its rings, 1 where they yield, with circles for the rings at
+    hooks and other held and loaded points; InputError if not known."""
     used = strength.utilisation(solution)
     if used is None:
         raise InputError(f"utilisation: {strength.judged_by(solution.problem.law)}")
-    ax = _plot_field(solution, used, Scale.of(used, "utilisation of the rings (1: first yield)"), ax)
+    at, borne = strength.rings_at_points(solution)
+    scale = Scale.of(used, "utilisation of the rings (1: first yield)")
+    if (most := float(borne.max(initial=0.0))) > scale.top:
+        scale = replace(scale, top=round_top(most, most), largest=max(scale.largest, most))
+    ax = _plot_field(solution, used, scale, ax)
+    if len(borne):
+        label = f"ring at a hook or loaded point, up to {digits(most)}"
+        style = {"cmap": scale.colour_map(), "norm": scale.norm(), "edgecolors": "white", "zorder": 7, "label": label}
+        ax.scatter(at[:, 0], at[:, 1], c=borne, **style)
     _legend(ax)
     return ax
 

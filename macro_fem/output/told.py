@@ -20,18 +20,22 @@ OF_FORCE = (
 """What is said of a factor that follows from the force at a point."""
 ROOM = 1.5
 """What rings next to hooks bear at most over their estimate: ten scenes, `python -m benchmarks hooks --full`."""
-JUDGED = ("safety_factor", "weakest", "weakest_factor", "utilisation_too_low")
+LEANS = 0.02
+"""Share of the height from which a lean to a side is told."""
+JUDGED = ("safety_factor", "weakest", "weakest_factor", "weakest_place", "utilisation_too_low")
 """Keys of a summary that combinations of loads are judged by."""
 UTILISATIONS = tuple(f"utilisation_of_{what}_max" for what in ("averages", "point_forces", "hook_rings"))
 """Keys of what is asked of the mesh, by averages and by forces at points, and of the rings at hooks."""
 
 
 class Link(NamedTuple):
-    """What may give way: at how many times the load, its name, and a sentence without end."""
+    """What may give way: at how many times the load, its name, a sentence without end, and its place in the flat sheet,
+    with what is nearest to it."""
 
     factor: float
     name: str
     text: str
+    place: str = ""
 
 
 def links(summary: dict[str, Any]) -> list[Link]:
@@ -39,13 +43,15 @@ def links(summary: dict[str, Any]) -> list[Link]:
     averages, points, ring = (summary[key] or 0.0 for key in UTILISATIONS)
     mesh, found = max(averages, points), []
     if mesh > UNLOADED:
-        text = "the mesh"
+        text, place = "the mesh", ""
         if mesh >= ring:
-            x, y = summary["utilisation_max_at_mm"]
-            text = f"rings near {summary['first_yield_near']}, at ({x:g}, {y:g}) mm"
-        found.append(Link(1.0 / mesh, "mesh", text))
+            near, distance = summary["first_yield_near"], summary["first_yield_distance_mm"]
+            place = _place(summary["utilisation_max_at_mm"], f"{_from(distance)} {near}")
+            text = f"rings {place}"
+        found.append(Link(1.0 / mesh, "mesh", text, place))
     if ring > UNLOADED:
-        found.append(Link(1.0 / ring, summary["ring_at_hook"], f"the {summary['ring_at_hook']}"))
+        place = _place(summary["utilisation_max_at_mm"]) if ring > mesh else ""
+        found.append(Link(1.0 / ring, summary["ring_at_hook"], f"the {summary['ring_at_hook']}", place))
     supports = summary["support_forces"]
     for number, support in enumerate(supports, 1):
         capacity, force = support.get("capacity_N"), support["largest_nodal_force_N"]
@@ -53,8 +59,39 @@ def links(summary: dict[str, Any]) -> list[Link]:
             kind = "runner" if support["support"] == "track" else support["support"].removesuffix("s")
             of = f" of support {number}" if len(supports) > 1 else ""
             text = f"{kind}s of support {number} bear up to {digits(force, 4)} N of {capacity:g} N"
-            found.append(Link(capacity / force, f"{kind} capacity{of}", text))
+            most = max(support["points"], key=lambda one: np.linalg.norm(one["force_N"]), default=None)
+            place = _place(most["at_mm"], f"{most['point']}{of}") if most else ""
+            found.append(Link(capacity / force, f"{kind} capacity{of}", text, place))
     return sorted(found)
+
+
+def _place(at: Sequence[float], near: str = "") -> str:
+    """A place in the flat sheet, and what is near."""
+    x, y = at
+    return f"at ({x:.6g}, {y:.6g}) mm{', ' * bool(near)}{near}"
+
+
+def _from(distance: float) -> str:
+    """How far a place is from something, as far as it matters."""
+    return "at" if distance < 0.05 else f"{digits(distance)} mm from"
+
+
+def governing(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """What a reader decides by: whether the curtain holds, None where that is not known, under which combination (None
+    without any), by which factor, why that may be less, what gives first and where; the largest force of a single point
+    under any of them."""
+    worst, rows = summary.get("envelope", summary), summary.get("combinations", ())
+    factor, is_solved = worst["weakest_factor"], summary["status"] == "converged"
+    own = max((one["largest_nodal_force_N"] for one in summary["support_forces"]), default=0.0)
+    return {
+        "holds": None if factor is None or not is_solved else factor >= 1.0,
+        "governing_factor": factor,
+        "governing_note": worst["utilisation_too_low"],
+        "governing_combination": worst.get("governing"),
+        "governing_link": worst["weakest"],
+        "governing_place": worst["weakest_place"],
+        "governing_force_N": max((row["largest_force_N"] for row in rows), default=own),
+    }
 
 
 def holds_line(summary: dict[str, Any]) -> str:
@@ -73,7 +110,8 @@ def holds_line(summary: dict[str, Any]) -> str:
         material = f"({summary['ring_material']}, {summary['ring_yield_N_per_mm2'] or 0.0:g} N/mm2)"
         verb = "yields" if link.text.startswith("the ") else "yield"
         of_rings = f"would yield first {material}" if not number else f"{verb} at {digits(link.factor)} times the load"
-        parts.append(link.text if "capacity" in link.name else f"{link.text} {of_rings}")
+        place = f", {link.place}" if link.place and link.name != "mesh" else ""
+        parts.append(f"{link.text if 'capacity' in link.name else f'{link.text} {of_rings}'}{place}")
     averages, points, _ = (summary[key] or 0.0 for key in UTILISATIONS)
     if too_low:
         parts.append(too_low)
@@ -99,14 +137,25 @@ def envelope(found: Sequence[tuple[Combination, Mapping[str, Any]]]) -> dict[str
     if known := [row for row in rows if row["weakest_factor"] is not None]:  # others may be without load
         worst = min(known, key=lambda row: row["weakest_factor"])
     points: dict[tuple[Any, ...], dict[str, Any]] = {}  # by places: each combination may have refined its own mesh
+    sums: dict[int, dict[str, Any]] = {}
     for combination, summary in found:
         for row in support_rows(summary["support_forces"])[1]:
             own = dict(zip(("support_number", "support", "x_mm", "y_mm"), row, strict=False))
-            own |= {"force_N": float(np.linalg.norm(row[4:7])), "combination": combination.name}
+            own |= {"force_N": float(np.linalg.norm(row[4:7])), "combination": combination.name, "point": row[-1]}
             place = row[0], *np.round(row[2:4], 6)
             points[place] = max(points.get(place, own), own, key=lambda one: one["force_N"])
+        for number, one in enumerate(summary["support_forces"], 1):
+            size = float(np.linalg.norm(one["force_N"]))
+            own = {
+                "support_number": number,
+                "support": one["support"],
+                "force_N": size,
+                "combination": combination.name,
+            }
+            sums[number] = max(sums.get(number, own), own, key=lambda one: one["force_N"])
     told = {"governing": worst["name"]} | {key: worst[key] for key in JUDGED}
-    return {"combinations": rows, "envelope": told | {"support_forces": list(points.values())}}
+    forces = {"support_forces": list(points.values()), "support_sums": list(sums.values())}
+    return {"combinations": rows, "envelope": told | forces}
 
 
 def default_law_lines(given: Path | None) -> list[str]:
@@ -133,13 +182,24 @@ def curtain_lines(summary: dict[str, Any], out: Path, *, explain: bool) -> Itera
     yield from order_lines(summary["order"])
     if summary["status"] == "converged":
         yield f"{'without the factors of combinations: ' * ('envelope' in summary)}{holds_line(summary)}"
-        yield from filter(None, [summary["support_forces_note"]])
+        yield from filter(None, [summary["support_forces_note"], summary["single_forces_note"], lean_note(summary)])
     yield from combination_lines(summary)
     if "bounds" in summary:
         yield interval_line(summary)
     if explain:
         for row in summary["features"]:
             yield f"{row['feature']:<16} {'used' if row['used'] else 'left out':<9} {row['why']}"
+
+
+def lean_note(summary: dict[str, Any]) -> str | None:
+    """That the curtain leans to a side, and how far; None where it hardly does."""
+    lean, height = summary["lean_mm"], summary["order"]["mesh_height_mm"]
+    if abs(lean) < LEANS * height:
+        return None
+    return (
+        f"the curtain leans as its mesh shears: its lower end hangs {digits(abs(lean))} mm to the "
+        f"{'right' if lean > 0.0 else 'left'} of its upper one, over a height of {height:g} mm"
+    )
 
 
 def _heights(summary: dict[str, Any]) -> str:
@@ -232,7 +292,8 @@ def _factor(row: Mapping[str, Any]) -> str:
     if row["weakest_factor"] is None:
         return ""
     most = "of at most " if row["utilisation_too_low"] else ""
-    return f", factor {most}{digits(row['weakest_factor'])} ({row['weakest']})"
+    place = f", {row['weakest_place']}" if row["weakest_place"] else ""
+    return f", factor {most}{digits(row['weakest_factor'])} ({row['weakest']}{place})"
 
 
 def governing_line(summary: Mapping[str, Any]) -> str:
@@ -243,18 +304,18 @@ def governing_line(summary: Mapping[str, Any]) -> str:
         return f"{text}; no answer for {', '.join(failed)}"
     if factor is None:
         return text
-    return f"{text}, {'holds' if factor >= 1.0 else 'does not hold'}{_factor(most)}"
+    force = max(row["largest_force_N"] for row in summary["combinations"])
+    held = "holds" if factor >= 1.0 else "does not hold"
+    return f"{text}, {held}{_factor(most)}; largest force of a single point {digits(force, 4)} N"
 
 
 def verdict(summary: dict[str, Any]) -> tuple[str, bool]:
     """Whether the curtain holds, as a report begins; and whether nothing that is known says that it does not."""
-    solved = summary["status"] == "converged"
+    solved, is_held = summary["status"] == "converged", summary["holds"] is not False
+    if solved and "envelope" in summary:
+        return governing_line(summary), is_held
     first, *more = (holds_line(summary) if solved else f"{summary['status']}: {summary['message']}").split("; ")
-    factors = [one["weakest_factor"] for one in (summary, summary.get("envelope", summary))]
-    holds = solved and all(one is None or one >= 1.0 for one in factors)
-    if "envelope" in summary:
-        return f"{governing_line(summary)}; without its factors: {first}", holds
-    return "; ".join([first, *more[:1]]), holds
+    return "; ".join([first, *more[:1]]), solved and is_held
 
 
 def interval_line(summary: dict[str, Any]) -> str:

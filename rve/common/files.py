@@ -14,13 +14,13 @@ import json
 import os
 import platform
 import shutil
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import msgspec
 
@@ -44,16 +44,17 @@ def _staging(folder: Path, name: str, *, makes: bool = False) -> Iterator[Path]:
 
     makes: `folder` and those above it are made if need be, and removed if they stay empty.
     """
+    staged, new = folder / f"{HIDDEN}{uuid4().hex[:12]}", list[Path]()
     try:
-        new = [one for one in (folder, *folder.parents) if makes and not one.exists()]
-        if makes:
-            folder.mkdir(parents=True, exist_ok=True)
-        staged = Path(tempfile.mkdtemp(prefix=HIDDEN, dir=folder))
-    except OSError as error:
-        raise InputError(f"{name}: cannot be written: {error.strerror}") from error
-    try:
+        try:
+            new = [one for one in (folder, *folder.parents) if makes and not one.exists()]
+            if makes:
+                folder.mkdir(parents=True, exist_ok=True)
+            staged.mkdir(mode=0o700)
+        except OSError as error:
+            raise InputError(f"{name}: cannot be written: {error.strerror}") from error
         yield staged
-    finally:
+    finally:  # also of a process that is stopped while it makes the folder
         shutil.rmtree(staged, ignore_errors=True)
         with suppress(OSError):  # only empty folders can be removed
             for one in new:

@@ -5,8 +5,9 @@ with shown():                       # a line on the terminal: work and time
 """
 
 import sys
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 
 Listener = Callable[[str], None]
@@ -48,10 +49,12 @@ def part_of(work: str) -> Iterator[None]:
 
 
 @contextmanager
-def shown() -> Iterator[None]:
-    """What is told in the block is shown on a line of a terminal, standard error, and wiped at its end."""
+def shown(period_s: float | None = None) -> Iterator[None]:
+    """What is told in the block is shown on a line of a terminal, standard error, and wiped at its end; elsewhere, as
+    in a pipe, nothing, or a line every `period_s` seconds."""
     if not sys.stderr.isatty():
-        yield
+        with nullcontext() if period_s is None else heard_by(_printed_every(period_s)):
+            yield
         return
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -73,3 +76,16 @@ def shown() -> Iterator[None]:
             yield
         finally:
             tell("")
+
+
+def _printed_every(period_s: float) -> Listener:
+    """Prints what is told on standard error, at most once in so many seconds, the first time after them."""
+    stream, due = sys.stderr, time.monotonic() + period_s
+
+    def listen(work: str) -> None:
+        nonlocal due
+        if work and time.monotonic() >= due:
+            print(work, file=stream, flush=True)
+            due = time.monotonic() + period_s
+
+    return listen

@@ -16,9 +16,11 @@ from macro_fem.cli import main
 from macro_fem.output.told import envelope as envelope_of
 from macro_fem.output.told import governing_line
 from macro_fem.report import _loads, _sections, write_report
-from macro_fem.size import search
+from macro_fem.size import Range, find_size, search
+from macro_fem.trials import Sought, answer_of
 from rve import Cell, grid, solve_table, with_rings
 from rve.common.errors import InputError
+from tests.commands import run
 
 HOOKS = """
 curtain = {width = 330.0, height = 252.9}
@@ -91,17 +93,141 @@ def test_a_combination_scales_every_kind_of_load():
         solve(hung(combination=(Combination("a"),)), macro_fem.EveryRing())
 
 
-@pytest.mark.parametrize("asked", [0.31, 2.0, 7.7])
-def test_the_search_finds_where_a_falling_factor_crosses(asked):
-    """Use = value / (asked's crossing): both searches end at the largest value that holds."""
-    best = search(lambda value: value / asked, [0.1, 2.5, 5.0, 7.5, 10.0], between=True)
-    assert asked * (1 - 4e-3) < best <= asked
-    thin = search(lambda value: asked / value, [asked * part for part in (2.0, 1.7, 1.3, 0.9, 0.6)], between=True)
-    assert asked <= thin < asked * (1 + 4e-3)
-    values = [0.1 * k for k in range(1, 100)]
-    assert search(lambda value: value / asked, values, between=False) == max(one for one in values if one <= asked)
-    assert search(lambda _: 2.0, [1.0, 2.0], between=True) is None
-    assert search(lambda value: 0.5 if value < 9.9 else np.inf, [0.1, 5.0, 10.0], between=True) > 9.88  # no answer
+CURVES = {
+    "power": (lambda v: (3.36 / v) ** 0.9, 3.36),
+    "ends-off": (lambda v: 5.0 / (1.0 + v / 3.0), 12.0),
+    "step": (lambda v: 1.3 if v < 37.7 else 0.7, 37.7),
+    "no-answer": (lambda v: 1.3 if v < 0.21 else 0.0, 0.21),
+    "window": (lambda v: min(v / 20.0, 50.0 / v), 50.0),
+    "narrow": (
+        lambda v: 1.05 * math.exp(-0.2 * math.log(v / 4.0) ** 2),
+        4.0 * math.exp(math.sqrt(5.0 * math.log(1.05))),
+    ),
+}
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("name", CURVES)
+def test_a_search_ends_at_the_value_wherever_it_lies_in_its_range(name, sign):
+    """Factors over five powers of ten: the last that holds and the next enclose the crossing to 0.5 %."""
+    factor, crossing = CURVES[name]
+    tried = {}
+
+    def use(values):
+        tried.update({v: -math.log(factor(v**sign)) if factor(v**sign) else math.inf for v in values})
+        return tried
+
+    span = Range(*sorted((0.1**sign, 1e4**sign)), sign=sign)
+    good, bad = search(use, span, span.first_round())
+    assert min(good, bad) <= crossing**sign * (1 + 1e-12)
+    assert max(good, bad) >= crossing**sign * (1 - 1e-12)
+    assert (tried[good] <= 0.0 < tried[bad], max(good, bad) / min(good, bad) <= 1.005) == (True, True)
+    assert len(tried) <= (15 if name in ("power", "ends-off", "window") else 30)
+
+
+def test_a_search_among_pitches_ends_at_neighbours_and_one_without_a_crossing_at_an_end():
+    grid = tuple(sorted(9800.0 / count for count in range(10, 200)))
+    span = Range(50.0, 980.0, grid)
+    asked = []
+
+    def use_of(factor):
+        def use(values):
+            asked.extend(values)
+            return {v: math.log(v / factor) for v in asked}
+
+        return use
+
+    good, bad = search(use_of(300.0), span, span.first_round())
+    assert grid.index(bad) == grid.index(good) + 1
+    assert good <= 300.0 < bad
+    assert len(asked) < 12
+    assert search(use_of(1e4), span, span.first_round()) == (980.0, None)
+    assert search(use_of(1.0), span, span.first_round()) == (None, grid[0])
+
+
+def test_a_search_follows_the_curve_of_a_coarser_mesh():
+    """Whose factors are 8 % less, and fall less with the value: six answers instead of eight."""
+    tried = {}
+
+    def use(values):
+        tried.update({v: 0.25 * math.log(v / 9.0) + 0.05 * math.log(v / 9.0) ** 2 - 0.08 for v in values})
+        return tried
+
+    guide = {v: 0.2 * math.log(v / 9.0) + 0.05 * math.log(v / 9.0) ** 2 for v in (1.0, 3.0, 9.0, 12.0, 30.0, 100.0)}
+    good, bad = search(use, Range(1.0, 100.0), [9.0], guide=guide)
+    assert (tried[good] <= 0.0 < tried[bad], bad <= 1.005 * good, len(tried) <= 6) == (True, True, True)
+
+
+COMBINED = (
+    HOOKS
+    + """
+combination = [{name = "light", bar = 0.5}, {name = "heavy", bar = 1.5}, {name = "mesh", weight = 1.35}]
+"""
+)
+
+
+@pytest.mark.slow
+def test_a_size_is_what_runs_say_on_both_sides_and_goes_on_where_it_was(tmp_path, monkeypatch):
+    """From 0.02 to 2000 kg; combinations that cannot govern are left out but at the value that holds."""
+    (tmp_path / "scene.toml").write_text(COMBINED)
+    words = [
+        "size",
+        tmp_path / "scene.toml",
+        "--vary",
+        "mass",
+        "--from",
+        "0.02",
+        "--to",
+        "2000",
+        "--out",
+        tmp_path / "o",
+    ]
+    done = run("macro_fem", *words, "--factor", "3")
+    found = json.loads((tmp_path / "o" / "size.json").read_text())
+    low, high = found["value"], found["next_value"]
+    assert done.stdout.startswith(f"mass = {low:.6g} kg is the last that holds with a factor 3: ")
+    assert (low < high <= 1.005 * low, found["governing_combination"]) == (True, "heavy")
+    scene = macro_fem.load_scene(tmp_path / "scene.toml")
+    runs = [solve(replace(scene, items=(scene.support[0], Bar(mass=mass)))).summary for mass in (low, high)]
+    factors = [one["governing_factor"] for one in runs]
+    assert factors == pytest.approx([found["factor"], found["next_factor"]], rel=1e-4)
+    assert factors[0] >= 3.0 > factors[1]
+    answers = [json.loads(one.read_text())["answer"] for one in (tmp_path / "o" / ".size").iterdir()]
+    asked = [{one["governing_combination"] for one in answers if one["value"] == value} for value in (low, high)]
+    assert asked == [{"light", "heavy", "mesh"}, {"heavy"}]
+    assert len(pd.read_csv(tmp_path / "o" / "size.csv")) == len(found["curve"])
+
+    solved = []
+    monkeypatch.setattr("macro_fem.trials.answer_of", lambda *task: solved.append(task) or answer_of(*task))
+    before = (tmp_path / "o" / "size.csv").read_bytes()
+    run("macro_fem", *words, "--factor", "3")
+    assert (solved, (tmp_path / "o" / "size.csv").read_bytes()) == ([], before)
+    none = run("macro_fem", *words, "--factor", "1e6", codes=(2,))
+    assert "no mass from 0.02 to 2000 holds with a factor 1e+06: the largest factor is" in none.output
+    assert json.loads((tmp_path / "o" / "size.json").read_text())["value"] is None
+    assert len(pd.read_csv(tmp_path / "o" / "size.csv")) >= 11
+    assert (tmp_path / "o" / "size.png").exists()
+    every = run("macro_fem", *words, "--factor", "1e-5").stdout
+    assert every.startswith("mass = 2000 kg, the end of the range: all values up to 2000 hold with a factor 1e-05: 0.0")
+    assert solved == []
+    (tmp_path / "scene.toml").write_text(COMBINED.replace("252.9", "252.8"))
+    run("macro_fem", *words, "--factor", "1e6", codes=(2,))
+    assert len(solved) >= 11  # of another scene
+
+
+@pytest.mark.slow
+def test_a_coarser_mesh_guides_and_processes_do_not_change_the_answer(tmp_path, monkeypatch):
+    monkeypatch.setattr("macro_fem.size.LARGE", 12)
+    monkeypatch.setattr("macro_fem.size.LEAST_COARSE", 3)
+    scene = replace(hung(), mesh=Mesh(cells=12), combination=(Combination("a", bar=1.5), Combination("b", weight=1.5)))
+    alone, both = (find_size(Sought(scene, None, "mass", 3.0), (0.1, 100.0), jobs=jobs) for jobs in (1, 2))
+    assert alone == both
+    assert {row.cells for row in alone.estimates} == {4}
+    assert {row.cells for row in alone.curve} == {12}
+    assert len(alone.curve) <= 6
+    assert alone.value < alone.next_value <= 1.005 * alone.value
+    plain = macro_fem.largest_that_holds(replace(scene, mesh=Mesh(cells=12)), None, "mass", (0.1, 100.0), 3.0)
+    assert alone.value == pytest.approx(plain.value, rel=0.011)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from homogenize import default_law, fit, ring_net, with_material
 from macro_fem.job import solve
 from macro_fem.output.files import curtain_mesh, summarize
-from macro_fem.output.strength import EXTRAPOLATED, TOO_COARSE, critical_load, summary, utilisation
+from macro_fem.output.strength import EXTRAPOLATED, TOO_COARSE, critical_load, nearest, summary, utilisation
 from macro_fem.output.told import combination_lines, holds_line
 from macro_fem.scene.meshing.mesh_files import read_mesh_file
 from macro_fem.scene.scene import read_scene
@@ -138,10 +138,83 @@ def test_a_mesh_too_coarse_at_an_end_of_a_held_edge_is_told():
     tables = sheet(300.0, 300.0, 4, {"kind": "top"}, load={"bar": {"mass": 0.5}}, weave_angle=30.0)
     scene = read_scene(tables | {"combination": {"name": "more", "bar": 1.5}})
     told = solve(scene).summary
-    assert (told["utilisation_of_point_forces_max"], told["utilisation_too_low"]) == (0.0, TOO_COARSE)
-    assert holds_line(told).endswith(TOO_COARSE)
+    too_coarse = TOO_COARSE.format("support 1 (top)", "37.5", "2.95", ", as with cells = 51")
+    assert (told["utilisation_of_point_forces_max"], told["utilisation_too_low"]) == (0.0, too_coarse)
+    assert holds_line(told).endswith(too_coarse)
     assert all("factor of at most " in line for line in (holds_line(told), *combination_lines(told)))
-    assert largest_that_holds(replace(scene, combination=()), None, "mass", (0.4, 0.5), 9.0).note == TOO_COARSE
+    assert largest_that_holds(replace(scene, combination=()), None, "mass", (0.4, 0.5), 9.0).note == too_coarse
+
+
+NOTCHED = {"shape": "outline", "outline": [[0, 0], [66, 0], [66, 22], [55, 28], [66, 34], [66, 55], [0, 55]]}
+HOLED = {"width": 66.0, "height": 55.0, "holes": [[[22, 16], [40, 16], [40, 34], [22, 34]]]}
+
+
+@pytest.mark.parametrize(("curtain", "near"), [(NOTCHED, "edge "), (HOLED, "hole 1")])
+def test_a_mesh_too_coarse_at_a_notch_or_hole_says_which_one_tells_within_a_tenth(curtain, near):
+    """The sentence names the place and `cells`; on those the utilisation is that of a mesh 1.4 times as fine."""
+
+    def told(cells):
+        tables = {
+            "curtain": curtain,
+            "mesh": {"cells": cells},
+            "support": {"kind": "top"},
+            "load": {"bar": {"mass": 9.0}},
+        }
+        return solve(read_scene(tables)).summary
+
+    coarse = told(6)
+    needed = int(coarse["utilisation_too_low"].split("cells = ")[1])
+    right, fine = told(needed), told(round(1.4 * needed))
+    assert (coarse["utilisation_too_low"].startswith(f"the mesh is too coarse at {near}"), needed > 9) == (True, True)
+    assert right["utilisation_too_low"] is None
+    assert right["utilisation_max"] == pytest.approx(fine["utilisation_max"], rel=0.1)
+    assert coarse["utilisation_max"] < 0.9 * fine["utilisation_max"]
+    x, y = right["utilisation_max_at_mm"]
+    place = f"at ({x:.6g}, {y:.6g}) mm, "
+    assert right["weakest_place"].startswith(place)
+    assert near in right["weakest_place"]
+    assert f"rings {right['weakest_place']} would yield first" in holds_line(right)
+
+
+def test_a_place_is_named_by_what_is_nearest_and_how_far_it_is():
+    """Closed distances to hole, edges, hooks, loads, and to an obstacle where the curtain lies on it."""
+    hole = [[40, 30], [60, 30], [60, 50], [40, 50]]
+    tables = sheet(
+        100.0, 80.0, 20, {"kind": "hooks", "pitch": 50.0}, load={"point": {"at": [25.0, 40.0], "force": [0, -1]}}
+    )
+    tables["curtain"] |= {"holes": [hole]}
+    solution = solve_scene(read_scene(tables), default_law())
+    for at, name, distance in (
+        ((62.0, 40.0), "hole 1", 2.0),
+        ((63.0, 54.0), "hole 1", 5.0),
+        ((97.0, 40.0), "edge right", 3.0),
+        ((50.0, 3.5), "edge bottom", 3.5),
+        ((53.0, 76.0), "edge top", 4.0),
+        ((50.0, 80.0), "support 1 (hooks)", 0.0),
+        ((28.0, 44.0), "load.point 1", 5.0),
+    ):
+        assert nearest(solution, np.array(at)) == (name, pytest.approx(distance, abs=1e-9))
+    wall = {"kind": "wall", "facing": [1.0, 0.0], "point": [4.0, 0.0]}
+    pushed = sheet(100.0, 80.0, 5, {"kind": "top", "gather": 0.9}, obstacle=[wall])
+    solution = solve_scene(read_scene(pushed), default_law())
+    assert nearest(solution, np.array([0.0, 32.0]))[0].startswith("obstacle 1 (")
+
+
+def test_rings_at_hooks_are_in_the_picture_of_utilisation():
+    """Circles at the hooks in the colours of the same scale, which reaches the largest of them."""
+    answer = solve(
+        read_scene(sheet(60.0, 60.0, 4, {"kind": "hooks", "pitch": 30.0, "gather": 0.9}, load={"bar": {"mass": 1.0}}))
+    )
+    (rings,) = [
+        one for one in answer.plot_utilisation().collections if str(one.get_label()).startswith("ring at a hook")
+    ]
+    points = answer.summary["support_forces"][0]["points"]
+    np.testing.assert_allclose(rings.get_offsets(), [one["place_mm"] for one in points], atol=1e-9)
+    limit = pulled_ring(5.0, 0.5, default_law().strength.material).first_yield_N
+    borne = [np.linalg.norm(one["force_N"]) / limit for one in points]
+    np.testing.assert_allclose(rings.get_array(), borne, rtol=1e-9)
+    assert max(borne) == pytest.approx(answer.summary["utilisation_of_hook_rings_max"], rel=1e-9)
+    assert rings.norm.vmax >= max(borne)
 
 
 def square(scale=1.0, law=None, **curtain):

@@ -43,9 +43,13 @@ _COMMON = {
 
 
 class Command(click.Command):
-    """A click command that ends in one sentence, shows live progress, and has the options of all commands."""
+    """A click command that ends in one sentence, shows live progress, and has the options of all commands.
 
-    def __init__(self, name: str | None, **kwargs: Any) -> None:
+    period_s: seconds between lines of progress where standard error is no terminal; None shows none there.
+    """
+
+    def __init__(self, name: str | None, *, period_s: float | None = None, **kwargs: Any) -> None:
+        self.period_s = period_s
         common = [click.Option([f"--{key}"], is_flag=True, help=text) for key, text in _COMMON.items()]
         super().__init__(name, params=[*(kwargs.pop("params", None) or []), *common], **kwargs)
 
@@ -61,7 +65,7 @@ class Command(click.Command):
         os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is imported
         ctx.meta.update({key: ctx.params.pop(key) for key in _COMMON})
         try:
-            with _stops_raised(), nullcontext() if _asked("quiet") else shown():
+            with _stops_raised(), nullcontext() if _asked("quiet") else shown(self.period_s):
                 return super().invoke(ctx)
         except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from importlib import import_module
 from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
@@ -38,12 +38,14 @@ LOST = "its worker was lost, perhaps for lack of memory: the same sweep, with fe
 
 @dataclass(frozen=True)
 class SweepItem:
-    """`python -m package arguments`, which writes the JSON `record`; paths are absolute."""
+    """`python -m package arguments`, which writes the JSON `record`; paths are absolute. marks: where it is marked as
+    finished."""
 
     name: str
     package: str
     arguments: tuple[str, ...]
     record: Path
+    marks: Path | None = None
 
     @property
     def question(self) -> dict[str, Any]:
@@ -53,21 +55,23 @@ class SweepItem:
 
 @dataclass(frozen=True)
 class Ended:
-    """How an item ended: exit code, the sentence of one that failed, and checksums of the files it read and wrote."""
+    """How an item ended: exit code, and the sentence of one that failed."""
 
     code: int
     message: str
-    files: dict[str, str] = field(default_factory=dict)
 
 
 def run_item(item: SweepItem) -> Ended:
-    """Runs a command in this process, which ends where it is stopped from outside."""
+    """Runs a command in this process, which ends where it is stopped from outside; that it is finished is marked at
+    once, so that a sweep that is killed later does not lose it."""
     try:
         with recorded_reads() as read, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
             main = import_module(f"{item.package}.cli").main
             code = main.main(list(item.arguments), prog_name=item.package, standalone_mode=False)
         folder, names = item.record.parent, [item.record.name, *read_json_object(item.record).get("files", {})]
-        return Ended(code or 0, "", read | {str(folder / name): checksum(folder / name) for name in names})
+        files = read | {str(folder / name): checksum(folder / name) for name in names}
+        Cache(item.marks).put(item.question, {"code": code or 0, "files": files})
+        return Ended(code or 0, "")
     except click.ClickException as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
             os._exit(1)  # whatever is raised, a worker of a pool would begin its next item
@@ -76,12 +80,19 @@ def run_item(item: SweepItem) -> Ended:
         return Ended(*ending(error))
 
 
-def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1, cluster: str | None = None) -> list[Ended]:
+def sweep(
+    items: Sequence[SweepItem],
+    out: Path,
+    *,
+    jobs: int = 1,
+    cluster: str | None = None,
+    on_end: Callable[[dict[str, Ended]], Any] = lambda ended: None,
+) -> list[Ended]:
     """How each item ended, in their order.
 
     jobs: processes on this machine; cluster: address of a Dask scheduler, whose workers see the folder `out` under the
-    same name. InputError if nothing answers there, or two items have one name. However it ends, what is finished is
-    kept.
+    same name; on_end: is called after each item with all that have ended, by name. InputError if nothing answers there,
+    or two items have one name. However it ends, what is finished is kept.
     """
     for name, count in Counter(item.name for item in items).items():
         if count > 1:
@@ -94,9 +105,9 @@ def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1, cluster: str 
     left = [item for item in items if item.name not in ended]
     tell(f"sweep, {len(ended)} of {len(items)} done")
     kept = f"what is finished is kept in {out}, and the same command goes on from there"
-    side_by_side = _processes(min(jobs, len(left) or 1)) if cluster is None else _cluster(cluster)
-    with noted_if_stopped(kept), side_by_side as workers:
-        futures = {workers.submit(run_item, item): item for item in left}
+    pool = side_by_side(min(jobs, len(left) or 1)) if cluster is None else _cluster(cluster)
+    with noted_if_stopped(kept), pool as workers:
+        futures = {workers.submit(run_item, replace(item, marks=out / MARKS)): item for item in left}
         for future in as_completed(futures):
             item = futures[future]
             try:
@@ -105,9 +116,8 @@ def sweep(items: Sequence[SweepItem], out: Path, *, jobs: int = 1, cluster: str 
                 how = Ended(1, f"{LOST} ({type(error).__name__}: {' '.join(str(error).split())})")
             if not how.message and not item.record.exists():  # written to another machine's disk
                 how = Ended(1, f"{item.record} is not there; workers must see its folder under the same name")
-            if not how.message:
-                cache.put(item.question, {"code": how.code, "files": how.files})
             ended[item.name] = how
+            on_end(ended)
             tell(f"sweep, {len(ended)} of {len(items)} done")
     return [ended[item.name] for item in items]
 
@@ -127,7 +137,7 @@ def _cluster(address: str) -> Iterator[Executor]:
 
 
 @contextmanager
-def _processes(jobs: int) -> Iterator[Executor]:
+def side_by_side(jobs: int) -> Iterator[Executor]:
     """Worker processes that end with the block, at once where it is left early, and when this process ends."""
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_end_with_parent) as pool:
         try:
@@ -184,12 +194,19 @@ def run_sweep(
     for item in items:
         command = import_module(f"{item.package}.cli").main.commands[item.arguments[0]]
         command.make_context(f"{item.package} {item.arguments[0]}", list(item.arguments[1:]))
-    rows = []
-    for item, ended in zip(items, sweep(items, out, jobs=jobs, cluster=cluster), strict=True):
-        record = {} if ended.message else read_json_object(item.record)
-        rows.append({"name": item.name, "exit_code": ended.code, **columns(record), "message": ended.message})
-    names = list(dict.fromkeys(key for row in rows for key in row))
-    write_text(out / "sweep.csv", csv_text(names, ([row.get(key, "") for key in names] for row in rows)))
+
+    def rows_of(ended: dict[str, Ended]) -> list[dict[str, Any]]:
+        """The rows of items that have ended, of which sweep.csv is written."""
+        rows = []
+        for item, how in ((item, ended[item.name]) for item in items if item.name in ended):
+            record = {} if how.message else read_json_object(item.record)
+            rows.append({"name": item.name, "exit_code": how.code, **columns(record), "message": how.message})
+        names = list(dict.fromkeys(key for row in rows for key in row))
+        write_text(out / "sweep.csv", csv_text(names, ([row.get(key, "") for key in names] for row in rows)))
+        return rows
+
+    every = sweep(items, out, jobs=jobs, cluster=cluster, on_end=rows_of)
+    rows = rows_of({item.name: how for item, how in zip(items, every, strict=True)})
     tell("")
     failed = [row for row in rows if row["exit_code"] != 0]
     for row in failed:
