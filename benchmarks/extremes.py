@@ -24,7 +24,7 @@ from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE, Weave
-from rve.paper.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions, solve
+from rve.simulation.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions, solve
 from rve.solve import solve_table
 from rve.table import StrainTable
 

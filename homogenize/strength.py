@@ -19,8 +19,8 @@ from msgspec import Meta
 from homogenize.directions import Directions, folds_of, tensile_part
 from rve import StrainTable, cauchy_line_load
 from rve.common import Array, Flags, InputError, Rows, Typed, checked, read_entry, read_typed
+from rve.common.cell_fields import Joint
 from rve.common.materials import Material, Stress
-from rve.common.rings import Joint
 from rve.common.tensor import IDENTITY, WEIGHT, eigenvalues, trace
 
 MAKE_AGAIN = "make the table again with rve table --rings, and fit the law again"

@@ -15,7 +15,7 @@ from rve.equilibrium.limits import polish, touching
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
-from rve.paper.stewart_trinkle import StewartTrinkleOptions, solve
+from rve.simulation.stewart_trinkle import StewartTrinkleOptions, solve
 
 LIGHT = 1e-6
 """Share of the mass that is left in a motion without inertia."""

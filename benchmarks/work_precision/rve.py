@@ -19,7 +19,7 @@ from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, second_pk
 from rve.geometry.pose import Pose, deformation, strain_of
-from rve.paper import stewart_trinkle as st
+from rve.simulation import stewart_trinkle as st
 from rve.solve import reference_sides
 
 Array = NDArray[np.float64]

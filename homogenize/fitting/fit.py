@@ -31,7 +31,7 @@ from homogenize.laws.stored import StoredLaw
 from homogenize.strength import strength_of_table
 from rve import StrainTable
 from rve.common import Array, InputError, Typed, checked, checksum
-from rve.common.rings import STEEL_KG_PER_MM3, check_rings
+from rve.common.cell_fields import STEEL_KG_PER_MM3, check_rings
 from rve.common.tensor import disc, trace
 
 STATED_LOAD = 1.0

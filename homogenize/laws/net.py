@@ -17,7 +17,7 @@ from msgspec import Meta
 from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, MembraneLaw, Response, check_finite
 from homogenize.laws.stored import StoredLaw
 from rve.common import Array, Typed, checked, read_typed
-from rve.common.rings import STEEL_KG_PER_MM3, areal_mass
+from rve.common.cell_fields import STEEL_KG_PER_MM3, areal_mass
 from rve.common.tensor import IDENTITY, WEIGHT, disc, double_dot, dyad, from_disc, trace
 
 ROUNDING = 1e-6

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from rve.common import Array, ByValue, InputError, Rows, Typed
-from rve.common.rings import ArealMass, Length
+from rve.common.cell_fields import ArealMass, Length
 
 SAME_RINGS = 1e-6
 """Relative difference of radii and reference cells that are taken for the same."""

@@ -30,7 +30,7 @@ from rve.common import (
     versions,
 )
 from rve.common.arguments import check_fields
-from rve.common.rings import check_ring_size
+from rve.common.cell_fields import check_ring_size
 from rve.common.tensor import WEIGHT, disc, from_disc, mirror
 
 Beside = tuple[tuple[float, float], ...]

@@ -17,9 +17,9 @@ from macro_fem.scene.meshing.mesh_files import read_mesh_file
 from rve import Cell, cell_of_sides
 from rve.common import Array, Index, InputError, Rows, Typed, check_belongs, read_json_object, read_typed, types_of
 from rve.common.arguments import checked
+from rve.common.cell_fields import check_rings
 from rve.common.materials import STEEL, Material
 from rve.common.records import ByValue
-from rve.common.rings import check_rings
 from rve.common.texts import read_as
 
 SIDES = ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm")

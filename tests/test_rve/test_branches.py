@@ -14,10 +14,10 @@ from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import deformation_gradient, second_pk
 from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE
-from rve.more_columns import with_rings
 from rve.solve import reference_sides, solve_table
 from rve.support_function import support
 from rve.table import read_table, write_table
+from rve.wire.cell_stiffness import with_rings
 
 FIRST = DirectOptions(branches="first")
 

@@ -12,7 +12,7 @@ from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.pose import start_pose
 from rve.geometry.weave import FOUR_IN_ONE
-from rve.more_columns import with_rings
+from rve.wire.cell_stiffness import with_rings
 
 
 def frozen(record):

@@ -7,7 +7,6 @@ import pytest
 
 from rve.common.materials import Material, named_material
 from rve.common.tensor import trace
-from rve.equilibrium.elastic_rings import contact_ends, contact_flexibility, elastic_forces, ring_states
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.limits import with_limits
 from rve.equilibrium.system import Equations
@@ -16,10 +15,10 @@ from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
 from rve.geometry.pose import deformation
 from rve.geometry.ring_pair import tangent_frame
 from rve.geometry.weave import FOUR_IN_ONE
-from rve.more_columns import with_rings
-from rve.ring.section import Ring, out_of_plane_inertia, shear_factor
-from rve.ring.strength import peak_stress
 from rve.solve import locked_block, reference_sides, solve_table
+from rve.wire.cell_stiffness import contact_ends, contact_flexibility, elastic_forces, ring_states, with_rings
+from rve.wire.section import Ring, out_of_plane_inertia, shear_factor
+from rve.wire.strength import peak_stress
 
 from .frame import frame_flexibility
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from rve.ring.kernels import internal_forces
-from rve.ring.section import Ring, skin_stress
-from rve.ring.strength import peak_stress
+from rve.wire.kernels import internal_forces
+from rve.wire.section import Ring, skin_stress
+from rve.wire.strength import peak_stress
 
 from .frame import random_load
 

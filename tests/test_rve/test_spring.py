@@ -6,7 +6,7 @@ import pytest
 from rve.geometry.kinematics import green_lagrange
 from rve.geometry.pose import moved, reduction, start_pose
 from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE, supercell
-from rve.strained.poses import Spring, split_response
+from rve.placed.poses import Spring, split_response
 
 SPRING = Spring((2.2, 2.5), fold=0.1, weak=0.3)
 CASES = 5

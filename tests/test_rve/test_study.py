@@ -9,9 +9,9 @@ import pytest
 from rve.common.progress import heard_by
 from rve.directions import grid
 from rve.geometry.weave import FOUR_IN_ONE
-from rve.paper import study
-from rve.paper.dynamics import copies
-from rve.paper.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions
+from rve.simulation import study
+from rve.simulation.dynamics import copies
+from rve.simulation.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions
 
 PICTURES = [f"fig_{n:02d}.png" for n in (9, 10, 11, 12, 13, 14, 15, 16, 17)]
 

@@ -8,8 +8,8 @@ import pytest
 from rve.equilibrium.system import Equations
 from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.weave import FOUR_IN_ONE
-from rve.paper import stewart_trinkle as st
-from rve.paper.dynamics import StewartTrinkleOptions
+from rve.simulation import stewart_trinkle as st
+from rve.simulation.dynamics import StewartTrinkleOptions
 from tests.test_rve import ten_rings as ten
 
 EQUATIONS = Equations.of(FOUR_IN_ONE, ten.WIRE)

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Meta
 
 from rve.common import Array, Index, Typed
-from rve.common.rings import gyration_radius
+from rve.common.cell_fields import gyration_radius
 from rve.equilibrium.system import Equations
 from rve.geometry.contacts import CellContacts
 from rve.geometry.pose import place_maps, turns_of

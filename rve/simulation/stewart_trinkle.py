@@ -18,7 +18,7 @@ from rve.equilibrium.interior_point import unit_loads
 from rve.equilibrium.system import Equations, lattice_load
 from rve.geometry.contacts import CellContacts, find_contacts
 from rve.geometry.pose import Pose, moved, reduction, start_pose
-from rve.paper.dynamics import Dynamics, StewartTrinkleOptions
+from rve.simulation.dynamics import Dynamics, StewartTrinkleOptions
 
 ROUND_OFF = 1e-13
 """Rise of the energy in s_hat r1^2 that counts as none: some twenty forces of order 1 times round-offs of a gap."""

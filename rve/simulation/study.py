@@ -15,9 +15,9 @@ from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, lattice_strain
 from rve.geometry.pose import strain_of
-from rve.paper.dynamics import StewartTrinkleOptions
-from rve.paper.stewart_trinkle import CellMotion, History, solve
 from rve.plots import draw_case
+from rve.simulation.dynamics import StewartTrinkleOptions
+from rve.simulation.stewart_trinkle import CellMotion, History, solve
 from rve.solve import solve_table
 from rve.table import StrainTable
 

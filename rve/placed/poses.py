@@ -28,8 +28,8 @@ from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.kinematics import lattice_strain
 from rve.geometry.pose import Pose, mirrored
 from rve.geometry.ring_pair import cross, dot, tangent_frame
+from rve.placed.fit import shares
 from rve.solve import locked_block, reference_sides
-from rve.strained.placed import shares
 
 _BLOCK, _MERGE = 1024, 1e-6
 """Strains solved together: larger blocks need more memory, smaller ones more time; and differences that are none."""

@@ -2,13 +2,13 @@
 
 A point force is a Fourier series along the ring; every order n >= 2 is self-balanced, and the sums are closed. The
 rigid part of a force is spread over the ring in the orders 0 and 1 and drops out where the forces of a ring balance.
-Forces (..., 3) are in the local axes r, t, z of their point; section forces are ordered as in `rve.ring.section`.
+Forces (..., 3) are in the local axes r, t, z of their point; section forces are ordered as in `rve.wire.section`.
 """
 
 import numpy as np
 
 from rve.common import Array
-from rve.ring.section import Section
+from rve.wire.section import Section
 
 _W = 0.5 / np.pi
 

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from rve.common import Array, InputError, NotConverged, checked
+from rve.common.cell_fields import Joint
 from rve.common.materials import STEEL, Material
-from rve.common.rings import Joint
-from rve.ring.kernels import flexibility, internal_forces, self_stress
-from rve.ring.section import Ring, skin_stress
+from rve.wire.kernels import flexibility, internal_forces, self_stress
+from rve.wire.section import Ring, skin_stress
 
 SECTIONS, FIBRES = 96, 48
 """Sections and fibres of each that are looked at, beside the sections under the loads."""
