@@ -252,9 +252,9 @@ def table_columns(record: dict[str, Any]) -> dict[str, Any]:
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder to write into.")
 def study(out: Path) -> None:
     """Reproduce the paper's figures 9-17 for this implementation, and set its published figures beside ours."""
-    from rve.simulation.study import RECORD, comparison, markdown, run
+    from rve.simulation.study import RECORD, comparison, markdown, run_study
 
-    found = run(out)
+    found = run_study(out)
     say(markdown(comparison(found)).rstrip())
     answer(read_json_object(out / RECORD))
     say_next("rve", "table", "--out", out / "table.csv", why="the same cases by the direct solver, as a table")

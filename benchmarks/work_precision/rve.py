@@ -119,7 +119,7 @@ def direct_alone(given: Problem, mu: float) -> Answer:
 
 def scheme(given: Problem, options: st.StewartTrinkleOptions) -> Answer:
     """The paper's scheme, all cases in one batch."""
-    rest = st.solve(given.s, given.equations, options)
+    rest = st.simulate(given.s, given.equations, options)
     return Answer(given.strain(rest.pose), rest.status == "converged", int((rest.steps + rest.rejected).sum()))
 
 

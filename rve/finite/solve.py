@@ -83,6 +83,7 @@ class FiniteMesh(RingLayout):
         another disturbance. An answer that has not converged is returned with its status. InputError for other shapes,
         no load, and pieces that nothing holds.
 
+        >>> from rve.geometry import Cell
         >>> mesh = FiniteMesh.rectangle(Cell(), 1, 1)
         >>> force, at = np.zeros((5, 3)), np.column_stack([mesh.X, np.zeros(5)])
         >>> force[:, 1] = -9.81 * mesh.mass

@@ -83,7 +83,7 @@ def geometric_stiffness(bend: Array, T: Array, equations: Equations) -> Array:
     return np.matmul(root, root.transpose(0, 2, 1))
 
 
-def advanced(
+def advance(
     motion: CellMotion, equations: Equations, options: StewartTrinkleOptions, dynamics: Dynamics
 ) -> tuple[CellMotion, Flags, Array]:
     """Every case after a step of its length h, whether it is accepted, and the change of the energy, (n,) each.
@@ -153,7 +153,7 @@ def begin(s: Array, equations: Equations, options: StewartTrinkleOptions) -> Cel
     return CellMotion(np.arange(n), unit_loads(s), pose, contacts, lam, v, h, zero, none, none, R, status)
 
 
-def solve(
+def simulate(
     s: Array, equations: Equations, options: StewartTrinkleOptions | None = None, *, history: bool = False
 ) -> CellMotion:
     """Poses in which the rings come to rest under Cauchy line loads s (n, 3) of any size, only their direction counts.
@@ -163,7 +163,7 @@ def solve(
 
     >>> from rve.geometry.kinematics import cauchy_line_load
     >>> from rve.geometry.weave import FOUR_IN_ONE
-    >>> rest = solve(cauchy_line_load([0.0], [90.0]), Equations.of(FOUR_IN_ONE, 0.1))
+    >>> rest = simulate(cauchy_line_load([0.0], [90.0]), Equations.of(FOUR_IN_ONE, 0.1))
     >>> (5 * rest.pose.lattice[0, :2]).round(3), str(rest.status[0])
     (array([11.   , 12.646]), 'converged')
     """
@@ -174,7 +174,7 @@ def solve(
     while len(motion.row):
         tell(f"motion of {len(s)} cells, {len(motion.row)} under way, step {motion.steps.max() + 1}")
         h = motion.h
-        motion, good, rise = advanced(motion, equations, options, dynamics)
+        motion, good, rise = advance(motion, equations, options, dynamics)
         if history:
             kinetic = dynamics.kinetic_energy(motion.v) * options.load * options.r1_mm**2
             side = (motion.lam[:, ~equations.weave.linked] > 0.0).sum(axis=(1, 2))

@@ -17,7 +17,7 @@ from rve.geometry.kinematics import cauchy_line_load, lattice_strain
 from rve.geometry.pose import strain_of
 from rve.plots import draw_case
 from rve.simulation.dynamics import StewartTrinkleOptions
-from rve.simulation.stewart_trinkle import CellMotion, History, solve
+from rve.simulation.stewart_trinkle import CellMotion, History, simulate
 from rve.solve import solve_table
 from rve.table import StrainTable
 
@@ -77,7 +77,7 @@ def solve_study(alpha_deg: ArrayLike, beta_deg: ArrayLike, options: StewartTrink
     table = solve_table(cell, (alpha_deg, beta_deg))
     between = time.perf_counter()
     s = cauchy_line_load(table.alpha_deg, table.beta_deg)
-    rest = solve(s, Equations.of(cell.weave, cell.wire), options, history=True)
+    rest = simulate(s, Equations.of(cell.weave, cell.wire), options, history=True)
     ended = time.perf_counter()
     assert rest.history is not None
     sides = table.provenance["b_x_mm"] / cell.r1, table.provenance["b_y_mm"] / cell.r1
@@ -129,7 +129,7 @@ def markdown(rows: list[tuple[str, str, str, str]]) -> str:
     return "\n".join(head + [f"| {' | '.join(row)} |" for row in rows]) + "\n"
 
 
-def run(
+def run_study(
     out_dir: AnyPath,
     alpha_deg: ArrayLike | None = None,
     beta_deg: ArrayLike | None = None,

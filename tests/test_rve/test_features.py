@@ -12,7 +12,7 @@ from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.weave import FOUR_IN_ONE
 from rve.simulation.stewart_trinkle import StewartTrinkleOptions
-from rve.simulation.stewart_trinkle import solve as come_to_rest
+from rve.simulation.stewart_trinkle import simulate as come_to_rest
 from rve.solve import solve_table
 
 TEN = Equations.of(FOUR_IN_ONE, 0.1)

@@ -21,7 +21,7 @@ def test_one_command_writes_every_table_and_picture(tmp_path):
     alpha, beta = np.array([0.0, 0.0, 20.0, 20.0, 45.0]), np.array([0.0, 45.0, 45.0, 60.0, 90.0])
     options = StewartTrinkleOptions(max_steps=80)
     with heard_by(told.append):
-        found = study.run(tmp_path / "new", alpha, beta, options)
+        found = study.run_study(tmp_path / "new", alpha, beta, options)
     names = {path.name for path in (tmp_path / "new").iterdir()}
     expected = {"cases.csv", "comparison.md", "study.json", "history_0_0.csv", "history_45_90.csv", *PICTURES}
     assert names == expected

@@ -48,7 +48,7 @@ def test_every_step_is_the_same_to_round_off(alpha, beta, curvature):
         good = [False]
         while not good[0]:
             h = motion.h
-            motion, good, rise = st.advanced(motion, EQUATIONS, options, dynamics)
+            motion, good, rise = st.advance(motion, EQUATIONS, options, dynamics)
         after, found = all_rings(motion, dynamics), step.rings
         assert tried == h[0]
         assert found.centres == pytest.approx(after.centres, abs=1e-9)
