@@ -22,9 +22,9 @@ from homogenize.fitting.bounds import inner_law, outer_law
 from homogenize.fitting.refine import RESOLUTION, Resolution, refined_half_spaces
 from homogenize.fitting.report import error_report
 from homogenize.fitting.rows import NORMALITY_TOLERANCE, LockedRows, normality, rows_from_table, rows_to_dict
-from homogenize.laws.giving import constant_compliance, giving_law, work_along
+from homogenize.laws.giving import constant_compliance, work_along
 from homogenize.laws.net import STATED_STIFFNESS, ring_cell, ring_net
-from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_law
+from homogenize.laws.polyhedral import PolyhedralLaw, giving_law, polyhedral_law
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.report import ErrorReport
 from homogenize.laws.stored import StoredLaw

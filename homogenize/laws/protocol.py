@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from rve.common import Array, ByValue, InputError, Rows, Typed
+from rve.common import Array, ByValue, InputError, Rows, Typed, checked
 from rve.common.cell_fields import ArealMass, Length
 
 SAME_RINGS = 1e-6
@@ -125,3 +125,10 @@ class MembraneLaw(Protocol):
 
     def elastic(self) -> MembraneLaw:
         """The law of elastic curtains: K+ with a compliance behind it, by direction where the law knows it."""
+
+
+@checked
+def elastic_law(law: MembraneLaw) -> MembraneLaw:
+    """The law of an elastic curtain: with the compliance of its rings by direction if it has their strength, else with
+    a constant one."""
+    return law.elastic()
