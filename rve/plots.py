@@ -135,7 +135,7 @@ class DrawnRings:
             space.add(plotter, name, space.balls(centre, radius, 64), space.BODY, opacity=space.BODY_OPACITY)
         box = None
         if series:
-            places = np.concatenate([one.centre for one in series])
+            places = np.concatenate([rings.centre for rings in series])
             box = np.stack([places.min(axis=0) - self.r1, places.max(axis=0) + self.r1])
         space.look(plotter, space.THREE_QUARTERS, box=box)
         return plotter
@@ -143,7 +143,7 @@ class DrawnRings:
 
 def force_scale(rings: Sequence[DrawnRings]) -> Scale:
     """Colours of contact forces in N by their logarithm; 0.2 % of the rings are above its round top end."""
-    force = np.concatenate([one.force for one in rings if one.force is not None])
+    force = np.concatenate([part.force for part in rings if part.force is not None])
     largest = float(force.max(initial=0.0))
     top = round_top(max(float(np.quantile(force, 0.998)), 1e-12), largest)
     return Scale("largest contact force on the ring, N", LEAST * top, top, largest, "log")
@@ -159,7 +159,7 @@ def drawn_rings(states: LockedStates, k: int) -> DrawnRings:
     return DrawnRings(centre, normal, cell.r1, cell.r2)
 
 
-def contacts_mm(states: LockedStates) -> tuple[Array, Array, Array]:
+def contacts_in_mm(states: LockedStates) -> tuple[Array, Array, Array]:
     """Loaded contacts of the drawn rings of a single state seen along z: points (m, 2) in mm, normals (m, 2), forces
     (m,) in units of s r1."""
     cell, pose, contacts, lam = states.cell, states.pose, states.found.contacts, states.found.lam[0]
@@ -171,8 +171,8 @@ def contacts_mm(states: LockedStates) -> tuple[Array, Array, Array]:
         point, normal = pose.centres[0, a, :2] + 0.5 * rho[p, slot, :2], contacts.normal[0, p, slot, :2]
         shifts = [(di, dj) for ring, di, dj in drawn if ring == a and (b, di + i, dj + j) in drawn]
         rows += [[*cell.r1 * (point + np.array(shift) @ lattice), *normal, lam[p, slot]] for shift in shifts]
-    found = np.array(rows).reshape(-1, 5)
-    return swapped(found[:, :2], cell), swapped(found[:, 2:4], cell), found[:, 4]
+    table = np.array(rows).reshape(-1, 5)
+    return swapped(table[:, :2], cell), swapped(table[:, 2:4], cell), table[:, 4]
 
 
 def swapped(vectors: Array, cell: Cell) -> Array:
@@ -207,7 +207,7 @@ def draw_case(table: StrainTable) -> Axes:
         first.set_label(f"rings of class {k + 1}")
     at, nodal = corner_forces(states)
     ax.plot(*at[[0, 1, 3, 2, 0]].T, color="0.3", lw=0.9, ls="--", zorder=0, label="periodic cell")
-    points, normals, forces = contacts_mm(states)
+    points, normals, forces = contacts_in_mm(states)
     if len(points):
         ax.scatter(points[:, 0], points[:, 1], s=18, color=BLUE, zorder=3, label="contact")
         reach = 0.5 * r1 * (forces / forces.max())[:, None] * normals

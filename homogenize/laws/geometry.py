@@ -29,7 +29,7 @@ DIRECTIONS = 180
 """Vectors v of v.(I + 2E) v >= 0, which every deformation obeys."""
 BLOCK = 64
 """Points compared with all half-spaces at a time: few enough to stay in the cache, many enough to hide Python. They
-share one piece of memory: fresh pieces take five times as long."""
+share one buffer: fresh ones take five times as long."""
 PRODUCTS = 2**18
 """Multiplications at a time at most: from twice as many on OpenBLAS wakes its threads, which beside another program
 took ten times as long."""
@@ -117,8 +117,8 @@ def project(y: Array, body: Polyhedron) -> tuple[Array, Array]:
         best = _best_subset(y[todo], body, index[todo], factor[todo], worst)
         grows = (best[0] ** 2).sum(axis=1) > (shift[todo] ** 2).sum(axis=1)  # no growth: the excess is rounding
         todo = todo[grows]
-        for kept, found in zip((shift, span, index, factor), best, strict=True):
-            kept[todo] = found[grows]
+        for array, values in zip((shift, span, index, factor), best, strict=True):
+            array[todo] = values[grows]
     raise ProjectionError(f"{len(todo)} closest points not found in {MAX_ROUNDS} rounds: use fewer, more distinct rows")
 
 

@@ -1,4 +1,4 @@
-"""The polyhedral law: the rows' own half-spaces, from outside or from inside, no fit at all.
+"""The polyhedral law: half-spaces of the rows, from outside or from inside, without a fit; its elastic form.
 
 Outer form: {E : S_i:E <= h_i}, all that the rows allow. Inner form: the hull of the rows' strains minus the tensile
 cone, all that the rows reach; its half-spaces are the hull's tensile facets and loads of rank one.
@@ -23,7 +23,7 @@ from rve.common import Array, InputError, Typed, read_typed
 from rve.common.tensor import WEIGHT, disc, eigenvalues, trace
 
 SAME = 1e-9
-"""Half-spaces nearer to each other than this are one."""
+"""Half-spaces nearer to each other than this are the same."""
 LEVELS = 13
 """Levels of tau between which support functions are interpolated."""
 FAR = 100.0
@@ -73,7 +73,7 @@ class PolyhedralLaw(StoredLaw, kind="polyhedral"):
         return giving_law(self) or self
 
     def cut(self, E: Array) -> Cut:
-        """The most violated of the law's own half-spaces; no load between them is violated more."""
+        """The most violated half-space of the law; none of a load between them is violated more."""
         check_finite(E)
         worst, violation = self._body.worst(E)
         return Cut(self.S[worst], self.h[worst], violation)

@@ -52,7 +52,7 @@ class CellMotion(Rows):
     the last step, in s_hat r1, summed over the copies of a pair in the ten rings; v (n, m_full): ring velocities in
     r1/s and rad/s; h: next time step; time (n,): sum of h in s; steps, rejected (n,): accepted steps and those tried
     with too large h; R (n,) of the last step; status (n,): "" under way, then "converged", "step-limit" or "time-step";
-    history: at the end, only when asked for.
+    history: of the end, if `simulate` keeps it.
     """
 
     row: Index
@@ -73,7 +73,7 @@ class CellMotion(Rows):
 def geometric_stiffness(bend: Array, T: Array, equations: Equations) -> Array:
     """Positive part of the contact curvature bend (n, m, m) = -sum lam d2gap/dq2; T (n, m_full, m) by `reduction`.
 
-    It grows without bound where two minima merge: there the linearised gap holds for a tiny step only.
+    It grows without bound where two minima merge: there the linearised gap is valid for tiny steps only.
     """
     # The positive part depends on what is orthogonal: the kinetic energy decides, it knows no coordinates.
     L = np.linalg.cholesky(np.matmul(T.transpose(0, 2, 1), np.matmul(equations.mass, T)))
@@ -129,13 +129,13 @@ def solve_contact_step(A: Array, b: Array, G: Array, gap: Array, k: Array) -> tu
     """
     L, lam, is_solved = np.linalg.cholesky(A), np.zeros(gap.shape), np.ones(len(b), dtype=bool)
     force, ways = np.linalg.solve(L, b[..., None])[..., 0], np.linalg.solve(L, G.transpose(0, 2, 1))
-    for i, there in enumerate(k > 0.0):
-        root = np.sqrt(k[i, there])
+    for i, used in enumerate(k > 0.0):
+        root = np.sqrt(k[i, used])
         if not len(root):  # nnls takes no empty matrix
             continue
         try:
-            matrix = np.vstack([ways[i][:, there], np.diag(1.0 / root)])
-            lam[i, there] = nnls(matrix, -np.concatenate([force[i], root * gap[i, there]]))[0]
+            matrix = np.vstack([ways[i][:, used], np.diag(1.0 / root)])
+            lam[i, used] = nnls(matrix, -np.concatenate([force[i], root * gap[i, used]]))[0]
         except RuntimeError:  # its limit of iterations
             is_solved[i] = False
     balance = b + np.matmul(lam[:, None, :], G)[:, 0]

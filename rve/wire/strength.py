@@ -16,11 +16,11 @@ from rve.wire.kernels import flexibility, internal_forces, self_stress
 from rve.wire.section import Ring, skin_stress
 
 SECTIONS, FIBRES = 96, 48
-"""Sections and fibres of each that are looked at, beside the sections under the loads."""
+"""Sections of a ring, in addition to those under the loads, and fibres of each at which the stress is computed."""
 _ZOOMS, _FINER = 3, 4
 """How often, and by how much, the steps of the search shrink: 64 in all, for a stress within 1e-6 of a smooth peak."""
 _BEFORE = 1e-9
-"""N jumps at a load with a part along the ring: the section this angle before it is looked at as well."""
+"""N jumps at a load with a component along the ring: the stress is also computed at this angle before it."""
 BENDING, TORSION = 4.0 / 3.0, 2.0 * np.pi / 3.0 / np.sqrt(3.0)
 """Plastic moment and torque (by von Mises) of a round section over r2^3 sigma_y."""
 _GROWTH, _CENTRED = 30.0, 1.0
@@ -44,13 +44,13 @@ class PulledRing:
 def pulled_ring(r1: float, r2: float, material: Material = STEEL, joint: str = "welded") -> PulledRing:
     """The ring of radius r1 (centre circle) and wire radius r2 in mm, pulled apart by two opposed forces in its plane.
 
-    joint as for `with_rings`, its angle counted from one of the forces; with "butted:worst" each number is that at its
-    own worst angle, and joint_deg that of first yield. Wire that straightens, and hardens, bears more: collapse is the
-    load at which the round ring begins to flow (docs/theory.md, 7). InputError for impossible rings and a material
+    joint as for `with_rings`, its angle from one of the forces; with "butted:worst" each number is that at the angle
+    worst for it, and joint_deg that of first yield. Collapse is the load at which the round ring begins to flow; wire
+    that straightens and hardens carries more (docs/theory.md, 7). InputError for impossible rings and a material
     without yield stress.
 
-    >>> found = pulled_ring(5.0, 0.5, Material(yield_N_per_mm2=400.0, ultimate_N_per_mm2=None))
-    >>> round(found.collapse_N, 2) == round(4.0 * 4.0 / 3.0 * 0.5**3 * 400.0 / 5.0, 2)  # four hinges: 4 M_p/R
+    >>> ring = pulled_ring(5.0, 0.5, Material(yield_N_per_mm2=400.0, ultimate_N_per_mm2=None))
+    >>> round(ring.collapse_N, 2) == round(4.0 * 4.0 / 3.0 * 0.5**3 * 400.0 / 5.0, 2)  # four hinges: 4 M_p/R
     True
     """
     stress = material.yield_N_per_mm2
@@ -157,16 +157,16 @@ def largest_factors(
     sharp = degree / y[:, 0]
     go = np.arange(len(J))
     for _ in range(steps):
-        here = J if len(go) == len(J) else J[go]
-        step, decrement = _newton(here, H[go], y[go], sharp[go])
-        y[go] += _length(here, H[go], y[go], step)[:, None] * step
+        rows = J if len(go) == len(J) else J[go]
+        step, decrement = _newton(rows, H[go], y[go], sharp[go])
+        y[go] += _length(rows, H[go], y[go], step)[:, None] * step
         centred = decrement < _CENTRED
         fine = degree <= 0.5 * tolerance * sharp[go] * y[go, 0]
         sharp[go] *= np.where(centred & ~fine, _GROWTH, 1.0)
         go = go[~(fine & (decrement < 1e-9))]
         if not len(go):
             break
-    # The answer scaled out to the yield surface, and the bound of the multipliers on it, which balance here.
+    # The point is scaled out to the yield surface; its multipliers, which balance, give the upper bound.
     size = np.sqrt((_moments(J, y) ** 2).sum(axis=1))
     upper, factor = (2.0 * size / (1.0 - size**2)).sum(axis=1) / sharp, y[:, 0] / size.max(axis=1)
     factor[go] = np.nan
