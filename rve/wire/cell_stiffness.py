@@ -28,8 +28,8 @@ from rve.wire.kernels import flexibility
 from rve.wire.section import Ring
 from rve.wire.strength import largest_factors, peak_stress, relative_moments
 
-_LEAST_FORCE, _RANK = 1e-7, 1e-7
-"""Shares of the largest below which a contact is idle, and a singular value of the contact gradients is zero."""
+_ZERO = 1e-7
+"""Share of the largest below which a contact force, or a singular value of the contact gradients, counts as zero."""
 _BLOCK = 256
 """Cases worked on together: some 150 MB."""
 
@@ -238,7 +238,7 @@ class _Cells:
         for i in range(n):
             rows = np.flatnonzero(ends.present[i])
             forces = elastic_forces(G[i, rows], C[i][np.ix_(rows, rows)], self.start[i, rows])
-            lam[i, rows] = np.where(forces > _LEAST_FORCE * forces.max(initial=0.0), forces, 0.0)
+            lam[i, rows] = np.where(forces > _ZERO * forces.max(initial=0.0), forces, 0.0)
         full = np.zeros((n, equilibrium.lam[0].size))
         np.put_along_axis(full, ends.slot, lam, axis=1)
         J = self.dead.assemble(equilibrium.pose, equilibrium.contacts, full.reshape(equilibrium.lam.shape), self.S).J
@@ -288,7 +288,7 @@ class _Cells:
 def _split(G: Array) -> tuple[Array, Array, Array, Array]:
     """U_r, sizes, V of contact gradients G (c, m), and U_0: the forces that balance themselves."""
     U, sizes, Vt = np.linalg.svd(G)
-    rank = int(np.count_nonzero(sizes > _RANK * sizes.max(initial=0.0)))
+    rank = int(np.count_nonzero(sizes > _ZERO * sizes.max(initial=0.0)))
     return U[:, :rank], sizes[:rank], Vt, U[:, rank:]
 
 

@@ -8,7 +8,7 @@ from rve import Material, pulled_ring
 from rve.common.errors import InputError, NotConverged
 from rve.wire.kernels import internal_forces, self_stress
 from rve.wire.section import Ring
-from rve.wire.strength import BENDING, TORSION, checked_sections, largest_factors, plastic_collapse
+from rve.wire.strength import BENDING, TORSION, StrengthOptions, checked_sections, largest_factors, plastic_collapse
 
 from .frame import random_load
 
@@ -102,14 +102,14 @@ def test_choosing_among_contact_forces_helps():
 
 
 def test_too_few_steps_are_not_an_answer():
-    phi, forces = pulls(3)
+    (phi, forces), few = pulls(3), StrengthOptions(steps=2)
     at = checked_sections(phi)
     base = internal_forces(phi, forces, at, RING.thin())[..., 3:]
     free = self_stress(at, 5.0)[..., 3:, :]
-    assert np.isnan(largest_factors(base, free, steps=2)[0][0])
+    assert np.isnan(largest_factors(base, free, options=few)[0][0])
     assert largest_factors(base, free)[0][0] > 0.0
     with pytest.raises(NotConverged, match="1 of 1 rings"):
-        plastic_collapse(phi, forces, RING, YIELD, steps=2)
+        plastic_collapse(phi, forces, RING, YIELD, options=few)
 
 
 def test_a_ring_between_two_hooks_has_its_closed_forms():
