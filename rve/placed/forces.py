@@ -15,9 +15,6 @@ from rve.geometry.pose import pair_geometry, tiled
 from rve.geometry.weave import supercell
 from rve.solve import locked_block, locked_states
 
-_CENTRING = 4
-"""Steps of Newton's method from forces of three digits."""
-
 
 @dataclass(frozen=True, eq=False)
 class CellForces(ByValue):
@@ -53,7 +50,7 @@ def central_forces(states: LockedStates) -> Array:
     system = equations.assemble(pose, states.found.contacts, lam, states.s)
     for i in np.flatnonzero(states.found.status == "converged"):
         works = lam[i] > 1e-7
-        for _ in range(_CENTRING):
+        for _ in range(4):  # Newton's method from three digits
             W = lam[i][works][:, None] * system.G[i][works.ravel()]
             lam[i][works] *= 2.0 + np.linalg.lstsq(W.T, -system.f[i] - 2.0 * W.sum(axis=0), rcond=1e-9)[0]
     return lam
