@@ -22,8 +22,6 @@ from homogenize.laws.stored import StoredLaw
 from rve.common import Array, InputError, Typed, read_typed
 from rve.common.tensor import WEIGHT, disc, eigenvalues, trace
 
-SAME = 1e-9
-"""Half-spaces nearer to each other than this are the same."""
 LEVELS = 13
 """Levels of tau between which support functions are interpolated."""
 FAR = 100.0
@@ -120,7 +118,7 @@ class GivingLaw(PolyhedralLaw):
         start = super().half_spaces()
         tree = cKDTree(np.column_stack([disc(self.S), self.h]))
         distance, row = tree.query(np.column_stack([disc(start.S), start.h]))
-        return replace(start, extra=np.where(distance < SAME, self.extra[row], self.extra.max()))
+        return replace(start, extra=np.where(distance < 1e-9, self.extra[row], self.extra.max()))
 
     def cut(self, E: Array) -> Cut:
         """The most violated half-space of strains E (n, 3), or (n, 4) with tau, see MembraneLaw."""

@@ -38,14 +38,34 @@ from rve.geometry.ring_pair import (
     turned,
 )
 
-SOFT, FLAT, NEXT = 0.3, 100.0, 3.0
-"""Minima with less than the first curvature, and stiffness^2 less than the second times the gap, are soft; points
-beside them are where the gap has grown by the third times itself."""
-_OUTER, _POINTS = 30.0, 26
-"""Fixed points beside a soft minimum reach to where its gap has grown by the first times itself; so many leave the gap
-at most 5 % less half-way between two of them."""
 _CHUNK = 4096
 """Pairs sampled together: their samples stay in the cache of a processor."""
+
+
+@dataclass(frozen=True)
+class SoftMinima:
+    """Which minima of distances are soft, so that they may split or merge in a step, and points beside them.
+
+    curvature, flatness: soft are minima of less curvature whose stiffness^2 is less than `flatness` times their gap.
+    growth: guard points are where the gap has grown by this multiple of itself. outer, count: fixed points reach to
+    where it has grown by `outer` times itself; so many leave it at most 5 % less halfway between two of them.
+    """
+
+    curvature: float = 0.3
+    flatness: float = 100.0
+    growth: float = 3.0
+    outer: float = 30.0
+    count: int = 26
+
+    def angles(self, minima: Minima, wire: float, growth: float) -> tuple[Flags, Array]:
+        """Which minima (m,) are soft, and the angles (m,) from them at which the gap has grown by `growth` times."""
+        gap = np.maximum(minima.distance - 2.0 * wire, 1e-13)
+        stiff = np.maximum(minima.curvature, 0.0) / minima.distance
+        soft = (minima.curvature < self.curvature) & (stiff**2 < self.flatness * gap)
+        return soft, np.sqrt(np.sqrt(stiff * stiff + 4.0 * growth * gap) - stiff)
+
+
+SOFT = SoftMinima()
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,13 +185,13 @@ class FixedPoints(Rows):
         return _point_contacts(row, foot_on_circle(rho, na), d, nb)
 
 
-def make_fixed_points(con: MeshContacts, pairs: Index) -> FixedPoints:
+def make_fixed_points(con: MeshContacts, pairs: Index, soft: SoftMinima = SOFT) -> FixedPoints:
     """Points around the soft minima of these pairs."""
-    soft, outer = _softness(con.minima, con.wire, _OUTER)
-    rows = np.flatnonzero(soft & ~con.fixed & np.isin(con.minima.pair, pairs))
-    minima, angle = con.minima.take(rows), outer[rows] * np.linspace(-1.0, 1.0, _POINTS)[:, None]
+    is_soft, outer = soft.angles(con.minima, con.wire, soft.outer)
+    rows = np.flatnonzero(is_soft & ~con.fixed & np.isin(con.minima.pair, pairs))
+    minima, angle = con.minima.take(rows), outer[rows] * np.linspace(-1.0, 1.0, soft.count)[:, None]
     rho = _points_beside(minima, con.pose.normal[con.a], angle)
-    return FixedPoints(np.tile(con.key[minima.pair], _POINTS), rho, np.tile(angle[1] - angle[0], _POINTS))
+    return FixedPoints(np.tile(con.key[minima.pair], soft.count), rho, np.tile(angle[1] - angle[0], soft.count))
 
 
 NO_POINTS = FixedPoints(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))
@@ -185,6 +205,7 @@ def find_mesh_contacts(
     *,
     guard_points: bool = True,
     fixed_points: FixedPoints = NO_POINTS,
+    soft: SoftMinima = SOFT,
 ) -> MeshContacts:
     """All contacts whose gap is below `reach` (r1); wire = r2/r1.
 
@@ -216,7 +237,7 @@ def find_mesh_contacts(
         distance, point = tree.query(_located(key[minima.pair], minima.rho_a))
         minima = minima.take(distance >= fixed_points.spacing[point])
     free, zero, g = len(minima.pair), np.zeros((len(at_wall), 3)), g[is_near]
-    others = [at_points, *([_guard_points(minima, d, na, nb, wire, limit)] if guard_points else ())]
+    others = [at_points, *([_guard_points(minima, d, na, nb, (wire, limit), soft)] if guard_points else ())]
     others.append(Minima(at_wall, -nb[at_wall], zero, zero, g + 2.0 * wire, np.ones(len(g))).take(g < reach))
     minima = minima.join(others)
     order = np.argsort(minima.pair, kind="stable")
@@ -226,10 +247,13 @@ def find_mesh_contacts(
     return MeshContacts(pose, wire, reach, key, minima, fixed, gap, deepest, a, b)
 
 
-def _guard_points(minima: Minima, d: Array, na: Array, nb: Array, wire: float, limit: float) -> Minima:
+def _guard_points(
+    minima: Minima, d: Array, na: Array, nb: Array, wire_and_limit: tuple[float, float], soft: SoftMinima
+) -> Minima:
     """Points of ring a to both sides of each soft minimum, which is about to split or has just merged."""
-    soft, angle = _softness(minima, wire, NEXT)
-    rows, angle = minima.take(soft), np.minimum(angle[soft], 0.4)
+    wire, limit = wire_and_limit
+    is_soft, angle = soft.angles(minima, wire, soft.growth)
+    rows, angle = minima.take(is_soft), np.minimum(angle[is_soft], 0.4)
     pair = np.tile(rows.pair, 2)
     points = _point_contacts(pair, _points_beside(rows, na, np.stack([angle, -angle])), d[pair], nb[pair])
     return points.take(points.distance <= limit)
@@ -239,14 +263,6 @@ def _points_beside(minima: Minima, na: Array, angle: Array) -> Array:
     """Points (k m, 3) of rings a at angles (k, m) from minima (m,); na (p, 3): normals of ring a of the pairs."""
     tau = cross(na[minima.pair], minima.rho_a)
     return np.asarray(np.cos(angle)[..., None] * minima.rho_a + np.sin(angle)[..., None] * tau).reshape(-1, 3)
-
-
-def _softness(minima: Minima, wire: float, times: float = NEXT) -> tuple[Flags, Array]:
-    """Which minima (m,) are soft, and the angles (m,) from them at which the gap has grown by `times` itself."""
-    gap = np.maximum(minima.distance - 2.0 * wire, 1e-13)
-    stiff = np.maximum(minima.curvature, 0.0) / minima.distance
-    soft = (minima.curvature < SOFT) & (stiff**2 < FLAT * gap)
-    return soft, np.sqrt(np.sqrt(stiff * stiff + 4.0 * times * gap) - stiff)
 
 
 def _point_contacts(pair: Index, rho_a: Array, d: Array, nb: Array) -> Minima:

@@ -32,39 +32,11 @@ from rve.finite.problem import BLOCK, Iterate, ScaledProblem
 from rve.geometry.contacts import distance_gradient, distance_hessian
 from rve.geometry.ring_pair import tangent_frame
 
-_WAY = 3.0
-"""Largest way of a held ring in one iteration, in r1."""
-_SOFT = 1e-10
-"""Stiffness of every coordinate: rings that nothing touches stay where they are."""
-_IDLE = 1e-6
-"""Contacts with less force than this part of mu do without curvature."""
-_TURNS = 6
-"""Times contacts are stiffened before a step is taken; those with another factor count twice."""
-_SHORT = 0.3
-"""Part of a step that counts as short."""
-_RANK = 64
-"""Largest rank of what is added to a matrix without another factor."""
-_CLOSING = (1.0, 0.75, 0.5)
-"""Contacts that close before these parts of a step are stiffened, the fewer the more there are."""
-_FINE = 1e-4
-"""mu below which single contacts and single rings are to blame for short steps and negative curvature."""
-_LOCAL = 4
-"""Times a factor may fail before negative curvature is left out everywhere."""
-_MANY = 0.5
-"""Part of the pairs with less negative curvature from which on failures are not told apart."""
-_CLOSED = 0.8
-"""Part of its gap that such a contact may close."""
 PAIR = 7
 METRIC = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.5])
 """Weights (7,) of the squares of d, theta_a, theta_b in the damping of a pair."""
 _CHUNK = 2048
 """Pairs whose blocks are made together: they stay in the cache of a processor."""
-_CORRECTIONS = 3
-"""Trials of a step, as it is and corrected."""
-_FARTHEST = 0.995
-"""Part of a gap that the linear forecast of a step may close."""
-_LEAST = 0.002
-"""Part of a pair's gap that must be left after a step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,13 +68,14 @@ class NewtonSystem:
         con, mu, most = iterate.contacts, iterate.contact_mu, float(iterate.mu.max())
         self.start = self.iterate = iterate
         self.problem, self.con, self._G, self._factorize = problem, con, G, factorize
+        self.method = problem.method.step
         self.stiff = (iterate.force + mu / con.reach) / con.gap
-        self._blocks = blocks(con, G, self.stiff, iterate.force, _IDLE * mu)
+        self._blocks = blocks(con, G, self.stiff, iterate.force)
         self._missing = np.full_like(self._blocks, np.nan)
         way = problem.way_left(con.pose)
         far = float(np.sqrt((way**2).sum(axis=1)).max(initial=0.0))
         self.is_moving = far > 0.0
-        self._held = np.pad(way * min(1.0, _WAY / max(far, 1e-300)), ((0, 0), (0, BLOCK - 3)))
+        self._held = np.pad(way * min(1.0, self.method.travel / max(far, 1e-300)), ((0, 0), (0, BLOCK - 3)))
         # Damping is relative to the force of a pair: pairs near supports need more of it.
         carried = np.bincount(con.minima.pair, iterate.force, minlength=len(con.key))
         self._scale = np.maximum(carried, 0.1 * con.pair_max(iterate.mu) * np.isin(con.key, problem.keys))
@@ -122,6 +95,11 @@ class NewtonSystem:
         self._last: Iterate
         self._solutions: dict[int, Array]
 
+    @property
+    def _is_fine(self) -> bool:
+        """Whether mu is so small that single contacts and rings are treated one by one."""
+        return float(self.iterate.mu.max()) < self.problem.method.ring_mu
+
     def step(self) -> Step | None:
         """The step of the damped equations, with less negative curvature where their matrix is not positive definite.
 
@@ -138,7 +116,7 @@ class NewtonSystem:
             q = self._held + (self.problem.motions @ y).reshape(self._held.shape)
             dgap = self._R_gaps @ y + self._held_gaps
             safe = safe_fractions(con, q)
-            if self._turns >= _TURNS or not self._stiffen_limiting(safe, dgap):
+            if self._turns >= self.method.turns or not self._stiffen_limiting(safe, dgap):
                 break
         stiff = self.stiff + self.iterate.extra
         dforce = (iterate.contact_mu * (1.0 - con.gap / con.reach) - iterate.force * con.gap) / con.gap - stiff * dgap
@@ -157,7 +135,7 @@ class NewtonSystem:
         if self.factors > self.failed and not self.is_moving and np.array_equal(self.iterate.convex, self._last.convex):
             added = weight - self._weights(self._last)
             rows = np.flatnonzero(added)
-            if len(rows) <= _RANK:
+            if len(rows) <= self.method.rank:
                 return self._stiffened(rows, added[rows]), self.push
         stiff = block_diagonal(self._pairs(), weight[: len(self._held_moves)])
         push = self.push - self._S_T @ (stiff @ self._held_moves)
@@ -194,7 +172,7 @@ class NewtonSystem:
     def _weights(self, iterate: Iterate) -> Array:
         """The weights (7 f + 5 n + m,) of the rows of R."""
         damped = np.outer((self._scale * (iterate.damping + iterate.local))[self._coupled], METRIC)
-        soft = self._soft.ravel() + _SOFT + 1e-6 * iterate.damping
+        soft = self._soft.ravel() + self.method.regularisation + 1e-6 * iterate.damping
         return np.concatenate([damped.ravel(), soft, iterate.extra])
 
     def _pairs(self) -> Array:
@@ -218,7 +196,7 @@ class NewtonSystem:
         con, iterate, coupled = self.con, self.iterate, self._coupled
         if iterate.convex.min() >= 1.0:
             self.iterate = replace(iterate, damping=max(1e-3, 5.0 * iterate.damping))
-        elif iterate.mu.max() >= _FINE or self.failed > _LOCAL or np.mean(iterate.convex > 0.0) > _MANY:
+        elif not self._is_fine or np.mean(iterate.convex > 0.0) > self.method.many:
             self.iterate = replace(iterate, convex=np.minimum(1.0, np.maximum(0.2, 3.0 * iterate.convex)))
         else:
             near = np.zeros(len(con.pose.x), dtype=bool)
@@ -234,35 +212,35 @@ class NewtonSystem:
         safe (p,): safe fractions of the step; dgap (m,): change of the gaps. At a small mu few contacts are stiffened
         just enough to stay open.
         """
-        iterate, last = self.iterate, self._last
+        iterate, last, short = self.iterate, self._last, self.method.short
         with np.errstate(divide="ignore", invalid="ignore"):
             open_ = np.where(dgap < 0.0, -self.con.gap / dgap, np.inf)
-        nearest, tight = open_.min(initial=1.0), safe < _SHORT
-        if not tight.any() and nearest > _CLOSING[-1]:
+        nearest, tight = open_.min(initial=1.0), safe < short
+        if not tight.any() and nearest > self.method.closing[-1]:
             return False
         if safe.min() < 0.1 and 0.0 < iterate.convex.max() < 1.0:
             self._turns += 2
             self.iterate = replace(iterate, convex=np.ones_like(iterate.convex))
             return True
-        if iterate.mu.max() < _FINE and not (self.is_moving or tight.any() or (iterate.local > last.local).any()):
-            for part in _CLOSING:
+        if self._is_fine and not (self.is_moving or tight.any() or (iterate.local > last.local).any()):
+            for part in self.method.closing:
                 rows = np.flatnonzero((open_ < part) | (iterate.extra > last.extra))
-                if len(rows) <= _RANK:
+                if len(rows) <= self.method.rank:
                     self._turns += 1
                     self._stop(rows)
                     return True
-        if not tight.any() and nearest > _SHORT:
+        if not tight.any() and nearest > short:
             return False
         self._turns += 2
         local = np.where(tight, np.maximum(4.0 * iterate.local, 0.2), iterate.local)
         stiffer = self.stiff * np.minimum(0.7 / open_, 100.0)
-        extra = np.where(open_ < 1.2 * _SHORT, iterate.extra + stiffer, iterate.extra)
+        extra = np.where(open_ < 1.2 * short, iterate.extra + stiffer, iterate.extra)
         self.iterate = replace(iterate, local=local, extra=extra)
         return True
 
     def _stop(self, contacts: Index) -> None:
         """Stiffen contacts (k,) just enough that the step closes no more than a fraction of their gaps."""
-        room, extra = _CLOSED * self.con.gap[contacts], self._last.extra.copy()
+        room, extra = self.method.closed * self.con.gap[contacts], self._last.extra.copy()
         R, Y = self._R_gaps[contacts], self._columns(len(self._held_moves) + contacts)
         extra[contacts] += forces_that_stop(R @ Y, -room - R @ self._factor(self.push)) / room
         self.iterate = replace(self.iterate, extra=extra)
@@ -289,7 +267,7 @@ def line_search(system: NewtonSystem, step: Step, *, is_last: bool) -> tuple[Mes
     None if pairs whose gaps would close were damped instead, for another step; not if it `is_last`.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        closing = np.where(step.dgap < 0.0, -_FARTHEST * system.con.gap / step.dgap, 1.0)
+        closing = np.where(step.dgap < 0.0, -system.method.farthest * system.con.gap / step.dgap, 1.0)
     length = min(1.0, float(step.safe.min()), float(closing.min(initial=1.0)))
     new, iterate = None, system.iterate
     while length > 1e-9:
@@ -319,9 +297,9 @@ def _try_fraction(system: NewtonSystem, step: Step, length: float) -> tuple[Mesh
     con, problem = system.con, system.problem
     q, forecast = length * step.q, con.gap + length * step.dgap
     before = np.minimum(con.deepest, con.reach)
-    least = _LEAST * before[con.minima.pair]
+    least = system.method.least * before[con.minima.pair]
     closed: Index = con.key[:0]
-    for turn in range(_CORRECTIONS):
+    for turn in range(system.method.corrections):
         system.trials += 1
         pose = con.pose.moved(q)
         gap = track_gaps(con, pose)
@@ -335,7 +313,7 @@ def _try_fraction(system: NewtonSystem, step: Step, length: float) -> tuple[Mesh
         return None, closed
     new = problem.find(pose, con.reach)
     row = find_rows(con.key, new.key)
-    closed = new.key[new.deepest < _LEAST * np.where(row >= 0, before[row], con.reach)]
+    closed = new.key[new.deepest < system.method.least * np.where(row >= 0, before[row], con.reach)]
     is_good = not len(closed) and is_passage_safe(con, new, q) and links_intact(new, problem.keys)
     is_good = is_good and (system.is_moving or _decreases(system, new, length * step.slope))
     return new if is_good else None, closed
@@ -401,8 +379,8 @@ def block_diagonal(pairs: Array, weight: Array) -> sparse.csr_matrix:
     return out + sparse.diags(weight, format="csr")
 
 
-def blocks(con: MeshContacts, G: Array, stiff: Array, force: Array, idle: Array) -> Array:
-    """Blocks (p, 7, 7) of the pairs: sum of stiff G G^T - force d2(gap), the latter for forces above `idle` (m,)."""
+def blocks(con: MeshContacts, G: Array, stiff: Array, force: Array) -> Array:
+    """Blocks (p, 7, 7) of the pairs: sum of stiff G G^T - force d2(gap)."""
     first = np.searchsorted(con.minima.pair, np.arange(len(con.key) + 1))
     out = np.zeros((len(con.key), PAIR, PAIR))
     frame = np.stack(tangent_frame(con.pose.normal), axis=2)
@@ -410,7 +388,7 @@ def blocks(con: MeshContacts, G: Array, stiff: Array, force: Array, idle: Array)
         ends = first[part : part + _CHUNK + 1]
         rows = np.arange(ends[0], ends[-1])
         per = (stiff[rows, None] * G[rows])[:, :, None] * G[rows, None, :]
-        curved = np.flatnonzero(force[rows] > idle[rows])
+        curved = np.flatnonzero(force[rows])
         per[curved] -= force[rows[curved], None, None] * _curvatures(con, rows[curved], frame)
         add = sparse.csr_matrix((np.ones(len(rows)), rows - ends[0], ends - ends[0]), shape=(len(ends) - 1, len(rows)))
         out[part : part + _CHUNK] = (add @ per.reshape(-1, PAIR**2)).reshape(-1, PAIR, PAIR)

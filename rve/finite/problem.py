@@ -15,9 +15,11 @@ from scipy.sparse.csgraph import connected_components
 from rve.common import Array, Flags, Index, InputError, Typed
 from rve.finite.contacts import (
     NO_POINTS,
+    SOFT,
     FixedPoints,
     MeshContacts,
     MeshPose,
+    SoftMinima,
     find_mesh_contacts,
     find_rows,
     transfer_forces,
@@ -27,16 +29,6 @@ from rve.geometry.ring_pair import cross, dot, tangent_frame
 
 BLOCK = 5
 """Unknowns of a ring: its centre (3) and two tilts about the axes of its tangent frame."""
-_TIE = 0.1
-"""Stiffness of the spring between a ring and its guide over mu, in 1/r1^2."""
-_TIED = 1e-3
-"""mu below which rings are guided no more."""
-
-_TINY = 1e-9
-_MOST = 0.25
-"""Largest disturbance of the start over its least gap: near jamming there is less room than was asked for."""
-_CLEAR = 0.3
-"""Distance in r1 of the start from half-spaces that would cut it."""
 
 
 Share = Annotated[float, Meta(gt=0.0, le=1.0)]
@@ -68,6 +60,83 @@ class FiniteOptions(Typed):
     def check(self) -> None:
         if self.last > self.first:
             self.refuse(f"last = {self.last:g}: is more than first = {self.first:g}")
+
+
+@dataclass(frozen=True)
+class StepMethod:
+    """How a Newton step is made; lengths in r1.
+
+    travel: longest way of a support in an iteration. regularisation: stiffness of every coordinate, so that loose rings
+    stay where they are. turns: how often pairs and contacts that limit a step are stiffened before it is taken, twice
+    counted with another factor. short: a step of a smaller fraction is short. rank: of the largest update of a factor.
+    closing: contacts that close before these fractions of a step are stiffened, fewer where they are many. closed:
+    fraction of its gap that a stiffened contact may close. many: fraction of the pairs without negative curvature above
+    which all lose it. corrections: trials of a step, as it is and corrected. farthest: fraction of a gap that the
+    linear forecast of a step may close. least: fraction of the gap of a pair that a step must leave.
+    """
+
+    travel: float = 3.0
+    regularisation: float = 1e-10
+    turns: int = 6
+    short: float = 0.3
+    rank: int = 64
+    closing: tuple[float, ...] = (1.0, 0.5)
+    closed: float = 0.8
+    many: float = 0.5
+    corrections: int = 3
+    farthest: float = 0.995
+    least: float = 0.002
+
+
+@dataclass(frozen=True)
+class PathMethod:
+    """How mu, the product of force and gap, falls and rises.
+
+    shrink, power: the next mu is the lesser of shrink mu and mu^power, once the Newton decrement of a ring is below
+    `centred` mu. smoothing: passes over neighbours in which decrements are averaged. lift: factor on mu of stagnant
+    rings, and of those within `links` links; at the last mu its powers up to the one of `final_lifts`, one after the
+    other. attempts: how often single pairs are damped before a step is shortened. reaches: (mu, reach) of contacts from
+    this mu on, as farther ones have next to no force. parts: of the way of supports, tried in this order; larger ones
+    close gaps for good in 1 of 100 random sheets. window: iterations in which supports must come 1 % nearer, or a step
+    must be longer than 1e-6. idle, balanced: iterations without progress at the last mu, and residual, at which
+    unbalanced pairs get fixed points.
+    """
+
+    shrink: float = 0.3
+    power: float = 1.15
+    centred: float = 0.5
+    smoothing: int = 4
+    lift: float = 30.0
+    links: int = 6
+    final_lifts: int = 4
+    attempts: int = 3
+    reaches: tuple[tuple[float, float], ...] = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))
+    parts: tuple[int, ...] = (1, 8, 40)
+    window: int = 50
+    idle: int = 5
+    balanced: float = 1e-3
+
+
+@dataclass(frozen=True)
+class SolverMethod:
+    """Numbers of the solver that no user sets; what they do to iterations is in docs/reports/evidence.md.
+
+    ring_mu: mu below which each ring has its own, and single contacts and rings are treated one by one. guide_mu,
+    guide_stiffness: above this mu rings are pulled to the guide, with this stiffness over mu. gap_share: largest
+    disturbance of the start over its least gap. clearance: of the start from half-spaces that cut it, r1.
+    """
+
+    ring_mu: float = 1e-4
+    guide_mu: float = 1e-3
+    guide_stiffness: float = 0.1
+    gap_share: float = 0.25
+    clearance: float = 0.3
+    path: PathMethod = PathMethod()
+    step: StepMethod = StepMethod()
+    soft: SoftMinima = SOFT
+
+
+METHOD = SolverMethod()
 
 
 Row = tuple[Array, Array, float]
@@ -167,6 +236,7 @@ class ScaledProblem:
     load: float = 1.0
     inertia: RingInertia | None = None
     unit: float = 1.0
+    method: SolverMethod = METHOD
 
     @property
     def keys(self) -> Index:
@@ -175,9 +245,9 @@ class ScaledProblem:
 
     def find(self, pose: MeshPose, reach: float) -> MeshContacts:
         """The contacts of a pose."""
-        points = self.fixed_points
+        guard, points, soft = self.guard_points, self.fixed_points, self.method.soft
         return find_mesh_contacts(
-            pose, self.linked, self.wire, reach, guard_points=self.guard_points, fixed_points=points
+            pose, self.linked, self.wire, reach, guard_points=guard, fixed_points=points, soft=soft
         )
 
     def way_left(self, pose: MeshPose) -> Array:
@@ -188,9 +258,9 @@ class ScaledProblem:
         """Energy, generalised forces (n, 5) and stiffness (n, 5) of inertia and, at a large mu, of the guide."""
         energy, pull, stiff = 0.0, np.zeros((len(pose.x), BLOCK)), np.zeros((len(pose.x), BLOCK))
         ends = []
-        if mu >= _TIED:
+        if mu >= self.method.guide_mu:
             guided = np.isfinite(self.guide)
-            ends.append((np.where(guided, _TIE * mu, 0.0), np.where(guided, self.guide, 0.0)))
+            ends.append((np.where(guided, self.method.guide_stiffness * mu, 0.0), np.where(guided, self.guide, 0.0)))
         if self.inertia is not None:
             ends.append((self.inertia.weight[:, None], self.inertia.place))
             energy, pull[:, 3:], stiff[:, 3:] = self.inertia.springs(pose)
@@ -280,7 +350,7 @@ class Problem:
                 push = float(force[rings, axis].sum())
                 is_held = self.held[rings, axis].any() or (axis == 2 and not self.is_space)
                 is_held |= any(isinstance(w, HalfSpace) and w.unit[axis] * push < 0.0 for w in self.walls)
-                if abs(push) > _TINY * np.abs(force).sum() and not is_held:
+                if abs(push) > 1e-9 * np.abs(force).sum() and not is_held:
                     x, y = mesh.X[rings].mean(axis=0)
                     raise InputError(
                         f"nothing carries the force of {push:.6g} N along {'xyz'[axis]} on the piece around "
@@ -311,8 +381,9 @@ class Problem:
                 centre[:, axis] += (self.at[rows, axis] - centre[rows, axis]).mean()
         x = centre / r1
         if self.is_space:
-            near = find_mesh_contacts(MeshPose(x, normal), mesh.linked, mesh.cell.wire, options.disturbance / _MOST)
-            size = min(options.disturbance, _MOST * float(near.deepest.min(initial=np.inf)))
+            reach = options.disturbance / METHOD.gap_share
+            near = find_mesh_contacts(MeshPose(x, normal), mesh.linked, mesh.cell.wire, reach)
+            size = min(options.disturbance, METHOD.gap_share * float(near.deepest.min(initial=np.inf)))
             shift = size * np.random.default_rng(options.seed).uniform(-1.0, 1.0, len(x))
             x[:, 2] += np.where(self.held[:, 2], 0.0, shift)
         for bar in self.mesh.bars:
@@ -320,7 +391,7 @@ class Problem:
         pose = self.pose(r1 * x, normal)
         for place, m in zip(pose.x[len(x) :], pose.normal[len(x) :], strict=True):
             lowest = float(((x - place) @ m - np.sqrt(1.0 - np.minimum((normal @ m) ** 2, 1.0))).min())
-            place += min(0.0, lowest - _CLEAR) * m
+            place += min(0.0, lowest - METHOD.clearance) * m
         return pose
 
     def pose(self, centre: Array, normal: Array) -> MeshPose:

@@ -6,7 +6,7 @@ units of the load's mean force on a link, so that mu is relative.
 
 Gaps stay positive in every accepted step and no step can carry a wire through another (`contacts`). Supports travel to
 their places in steps of a fraction of r1. mu is lifted where the iterates stagnate, so that a fold which runs through
-the mesh passes in few steps. Below `_TOGETHER` each ring has its own mu. Steps are those of `newton`.
+the mesh passes in few steps. At a small mu each ring has its own. Steps are those of `newton`.
 """
 
 import time
@@ -23,39 +23,9 @@ from rve.finite.newton import NewtonSystem, Step, gradients, line_search, spread
 from rve.finite.problem import BLOCK, FiniteOptions, HalfSpace, Iterate, Problem, ScaledProblem
 from rve.finite.solution import FiniteSolution, IterationRecord, SolverResult, as_solution
 
-_HIGHEST = 0.1
-"""Largest mu, the product of force and gap, that lifts lead to."""
-_SHRINK, _POWER = 0.3, 1.15
-"""mu falls to the lesser of _SHRINK mu and mu^_POWER."""
-_PRODUCT = 10.0
-"""Sum of force times gap over links times mean force that is enough, over the last mu."""
-_CALM = 0.5
-"""It falls once the decrement of Newton's method is below this part of mu per ring."""
 _SLIDING, _DAMPED, _SLIDES = 1e-5, 0.1, 4
 """But over a floor not below the first mu while a pair is damped by the second: its rings slide, and gain little for
 the damping. So for that many lifts; without a floor damped pairs are folds, which the next mu passes in fewer steps."""
-_LIFT = 30.0
-"""Factor on mu where the iterates do not settle at it."""
-_ENDS = 4
-"""At the last mu no ring tells that it is the one that does not settle: all are lifted, by this factor the first time
-and by its square, cube and fourth power the next times, to where all go together again."""
-_TOGETHER = 1e-4
-"""mu from which on all rings have the same one; below, each ring has its own."""
-_LINKS, _PASSES = 6, 4
-"""Links around a ring that are lifted with it, and over which what its contacts do is averaged. Of 481 to 1,013 rings
-in space that makes a tenth to a third fewer iterations than one mu for all."""
-_DITHERS, _BALANCED = 5, 1e-3
-"""Iterations at the last mu in which the residual has not fallen after which unbalanced pairs touch at fixed points, if
-it is below the second number."""
-_TRIES = 3
-"""Times a step is damped pair by pair before it is shortened."""
-_NEARER = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))
-"""Reach from these mu on, in r1: contacts farther away have next to no force, and cost as much as others."""
-_PARTS = (1, 8, 40)
-"""In how many parts held rings are moved: larger ones close gaps for good, in 1 of 100 random starts of a sheet hung by
-its corners, and in most that are drawn far together over a floor."""
-_STUCK = 50
-"""Iterations in which held rings must come nearer to their places by 1 %, or count as out of reach."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +83,7 @@ def solve_rings(problem: ScaledProblem, start: MeshPose, options: FiniteOptions)
     """The equilibrium from a start without overlaps and with the right links; a failure has its status."""
     contacts = problem.find(start, options.reach)
     iterate = _first_iterate(contacts, contacts.central_forces(options.first), options.first, 1e-3)
-    for parts in _PARTS:
+    for parts in problem.method.path.parts:
         result = _Path(problem, iterate, options, parts).follow()
         if result.status != "out-of-reach":
             break
@@ -123,8 +93,9 @@ def solve_rings(problem: ScaledProblem, start: MeshPose, options: FiniteOptions)
 def solve_near(problem: ScaledProblem, contacts: MeshContacts, force: Array, options: FiniteOptions) -> SolverResult:
     """The equilibrium near a start whose contacts have the forces (m,), such as those of a time step before."""
     iterate = _first_iterate(contacts, force, options.first, 0.0)
-    contacts = problem.find(contacts.pose, _reach(options, options.first))
-    return _Path(problem, iterate.at(contacts), options, 1).follow()
+    path = _Path(problem, iterate, options, 1)
+    path.iterate = iterate.at(problem.find(contacts.pose, path.reach(options.first)))
+    return path.follow()
 
 
 def _first_iterate(contacts: MeshContacts, force: Array, mu: float, damping: float) -> Iterate:
@@ -143,6 +114,7 @@ class _Path:
 
     def __init__(self, problem: ScaledProblem, iterate: Iterate, options: FiniteOptions, parts: int) -> None:
         self.problem, self.iterate, self.options, self.parts = problem, iterate, options, parts
+        self.method = problem.method.path
         self.start, self.targets, self.part = iterate.contacts.pose, problem.at, 1
         self.stagnation = Stagnation(options, len(iterate.mu))
         self.best, self.best_merit = iterate, np.inf
@@ -180,7 +152,7 @@ class _Path:
         count = f"{len(self.problem.force)} rings, iteration {len(self.history) + 1}"
         tell(f"{count}, force x gap {most:.0e} to {options.last:.0e}")
         residual, product = residuals(iterate, self.problem)
-        self.merit = max(residual, product * options.tolerance / max(options.tolerance, _PRODUCT * options.last))
+        self.merit = max(residual, product * options.tolerance / max(options.tolerance, 10.0 * options.last))
         self.distances.append(float(np.abs(self.problem.way_left(iterate.contacts.pose)).max()))
         self.has_arrived, self.is_last = self.distances[-1] < 1e-12, iterate.mu <= options.last
         self.is_end = bool(self.has_arrived and self.is_last.all())
@@ -189,7 +161,7 @@ class _Path:
         self.stagnation.count(self.merit, iterate.gain)
         is_sliding = most <= _SLIDING and iterate.local.max(initial=0.0) >= _DAMPED
         is_sliding = is_sliding and self.stagnation.lifts.max() < self.slides
-        is_centred = (iterate.gain >= 0.0) & (iterate.gain < _CALM * iterate.mu)
+        is_centred = (iterate.gain >= 0.0) & (iterate.gain < self.method.centred * iterate.mu)
         self.is_centred = is_centred & ~self.is_last & (not is_sliding)
         self.is_stagnant = ~self.is_centred & self.stagnation.is_over(options, self.is_last)
 
@@ -199,7 +171,7 @@ class _Path:
             # A time step needs no more damping here; whether its matrix is positive definite shows without it.
             none = 0.0 * self.iterate.local
             self.iterate = replace(self.iterate, damping=0.0, local=none, convex=none)
-        if self.is_end and self.stagnation.idle == _DITHERS and self.merit < _BALANCED:
+        if self.is_end and self.stagnation.idle == self.method.idle and self.merit < self.method.balanced:
             self._add_fixed_points()
         if self.has_arrived and self.is_centred.all() and self.part < self.parts:
             self.part, self.distances, self.has_arrived = self.part + 1, [], False
@@ -210,15 +182,15 @@ class _Path:
 
     def _change_mu(self) -> None:
         """Lower mu of centred rings and lift that of stagnant ones."""
-        iterate, problem, lift = self.iterate, self.problem, _LIFT
+        iterate, problem, lift = self.iterate, self.problem, self.method.lift
         is_stuck = self.is_end and bool(self.is_stagnant.any())
         if is_stuck:
             # Guard points move with their minimum and may keep a last residual: the next end goes without them.
             self.problem = replace(problem, guard_points=not problem.guard_points, fixed_points=NO_POINTS)
-            lift, self.final_lifts = _LIFT ** (1 + self.final_lifts % _ENDS), self.final_lifts + 1
+            lift, self.final_lifts = lift ** (1 + self.final_lifts % self.method.final_lifts), self.final_lifts + 1
         mu, is_lifted = self._next_mu(np.where(self.is_stagnant, lift, 0.0))
         self.stagnation.begin(mu != iterate.mu, is_lifted)
-        self.iterate, reach = replace(iterate, mu=mu), _reach(self.options, float(mu.max()))
+        self.iterate, reach = replace(iterate, mu=mu), self.reach(float(mu.max()))
         if reach != iterate.contacts.reach or is_stuck:
             self.iterate = self.iterate.at(self.problem.find(iterate.contacts.pose, reach))
 
@@ -230,23 +202,28 @@ class _Path:
         """
         iterate, con, options, level = self.iterate, self.iterate.contacts, self.options, lift * self.iterate.mu
         coupled = con.count > 0
-        for _ in range(_LINKS):
+        for _ in range(self.method.links):
             near = con.pair_max(level)[coupled]
             for end in (con.a, con.b):
                 np.maximum.at(level, end[coupled], near)
         is_for_all = _have_one_mu(iterate, self.problem) or bool((lift > 0.0).all())
-        level = np.minimum(level, _HIGHEST if is_for_all else 0.9 * _TOGETHER)
+        level = np.minimum(level, options.first if is_for_all else 0.9 * self.problem.method.ring_mu)
         is_lifted = level > iterate.mu
-        lower = np.maximum(options.last, np.minimum(_SHRINK * iterate.mu, iterate.mu**_POWER))
+        lower = np.maximum(options.last, np.minimum(self.method.shrink * iterate.mu, iterate.mu**self.method.power))
         mu = np.where(is_lifted, level, np.where(self.is_centred, lower, iterate.mu))
         return mu, is_lifted | (lift > 0.0)
+
+    def reach(self, mu: float) -> float:
+        """The reach of contacts at a mu."""
+        return min(self.options.reach, next(reach for least, reach in self.method.reaches if mu >= least))
 
     def _add_fixed_points(self) -> None:
         """Fix the contact points of soft pairs of rings both of which have a tenth or more of the largest unbalanced
         force, and damp these pairs no more."""
         problem, iterate, con = self.problem, self.iterate, self.iterate.contacts
         size = np.abs(problem.motions @ _unbalanced(iterate, problem)).reshape(-1, BLOCK).max(axis=1)
-        points = make_fixed_points(con, np.flatnonzero(np.minimum(size[con.a], size[con.b]) > 0.1 * size.max()))
+        pairs = np.flatnonzero(np.minimum(size[con.a], size[con.b]) > 0.1 * size.max())
+        points = make_fixed_points(con, pairs, problem.method.soft)
         if len(points.key):
             self.problem = replace(problem, fixed_points=problem.fixed_points.join([points]))
             iterate = replace(iterate, local=np.where(np.isin(con.key, points.key), 0.0, iterate.local))
@@ -258,11 +235,11 @@ class _Path:
         iterate = self.iterate
         system = NewtonSystem(iterate, self.problem, gradients(iterate.contacts), self.factorize)
         new, step, length = None, None, 0.0
-        for attempt in range(_TRIES + 1):
+        for attempt in range(self.method.attempts + 1):
             step = system.step()
             if step is None:
                 break
-            new, length = line_search(system, step, is_last=attempt == _TRIES)
+            new, length = line_search(system, step, is_last=attempt == self.method.attempts)
             if new is not None:
                 break
         self.history.append(IterationRecord(length, system.trials, system.factors))
@@ -277,8 +254,9 @@ class _Path:
         self.iterate, self.is_minimum = _accept(system, new, step, length), is_exact and system.failed == 0
 
     def _are_supports_stuck(self) -> bool:
-        """Whether supports have come no nearer to their places over `_STUCK` iterations."""
-        return len(self.distances) > _STUCK and self.distances[-1] > 0.99 * self.distances[-1 - _STUCK]
+        """Whether supports have come no nearer to their places over the window."""
+        window = self.method.window
+        return len(self.distances) > window and self.distances[-1] > 0.99 * self.distances[-1 - window]
 
     def _result(self, status: str) -> SolverResult:
         """The last iterate; without convergence that of least residual at the end of the path, if there is one."""
@@ -320,11 +298,6 @@ class Stagnation:
         return ~is_last & (self.slow > self.patience)
 
 
-def _reach(options: FiniteOptions, mu: float) -> float:
-    """The reach of contacts at a mu."""
-    return min(options.reach, next(reach for least, reach in _NEARER if mu >= least))
-
-
 def residuals(iterate: Iterate, problem: ScaledProblem) -> tuple[float, float]:
     """Sum of the unbalanced forces over the sum of the loads; sum of force times gap over (links times mean force)."""
     unbalanced = np.abs(_unbalanced(iterate, problem)).sum()
@@ -364,7 +337,7 @@ def _gain(system: NewtonSystem, step: Step) -> Array:
     work = np.bincount(con.minima.pair, step.stiff * step.dgap**2, len(con.key))[coupled]
     gain = 0.5 * (np.bincount(a, work, n) + np.bincount(b, work, n))
     count = 1.0 + np.bincount(a, minlength=n) + np.bincount(b, minlength=n)
-    for _ in range(_PASSES):
+    for _ in range(system.problem.method.path.smoothing):
         gain = (gain + np.bincount(a, gain[b], n) + np.bincount(b, gain[a], n)) / count
     return np.asarray(gain)
 
@@ -372,4 +345,6 @@ def _gain(system: NewtonSystem, step: Step) -> Array:
 def _have_one_mu(iterate: Iterate, problem: ScaledProblem) -> bool:
     """Whether all rings have the same mu: at a large one folds form all over the mesh, over floors rings slide, and a
     time step has few iterations."""
-    return bool(iterate.mu.max() >= _TOGETHER or iterate.contacts.pose.walls or problem.inertia is not None)
+    return bool(
+        iterate.mu.max() >= problem.method.ring_mu or iterate.contacts.pose.walls or problem.inertia is not None
+    )

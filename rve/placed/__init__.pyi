@@ -12,5 +12,6 @@ from .forces import largest_forces as largest_forces
 from .poses import POSE_MEANINGS as POSE_MEANINGS
 from .poses import LockedArrangements as LockedArrangements
 from .poses import NearestPoses as NearestPoses
+from .poses import PoseOptions as PoseOptions
 from .poses import locked_arrangements as locked_arrangements
 from .poses import nearest_poses as nearest_poses

@@ -22,8 +22,6 @@ from rve.simulation.dynamics import Dynamics, StewartTrinkleOptions
 
 ROUND_OFF = 1e-13
 """Rise of the energy in s_hat r1^2 that counts as none: some twenty forces of order 1 times round-offs of a gap."""
-NO_STEP = 1e300
-"""R before the first step."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +147,7 @@ def begin(s: Array, equations: Equations, options: StewartTrinkleOptions) -> Cel
     contacts = find_contacts(pose, equations.weave, equations.wire, options.reach)
     zero, none = np.zeros(n), np.zeros(n, dtype=int)
     v, lam = np.zeros((n, len(equations.mass))), np.zeros(contacts.gap.shape)
-    h, R, status = np.full(n, options.h_max), np.full(n, NO_STEP), np.full(n, "", dtype="<U16")
+    h, R, status = np.full(n, options.h_max), np.full(n, np.inf), np.full(n, "", dtype="<U16")
     return CellMotion(np.arange(n), unit_loads(s), pose, contacts, lam, v, h, zero, none, none, R, status)
 
 

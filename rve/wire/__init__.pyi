@@ -13,6 +13,7 @@ from .section import skin_stress as skin_stress
 from .solidity import shadow as shadow
 from .solidity import solidity as solidity
 from .strength import PulledRing as PulledRing
+from .strength import StrengthOptions as StrengthOptions
 from .strength import peak_stress as peak_stress
 from .strength import plastic_collapse as plastic_collapse
 from .strength import pulled_ring as pulled_ring
