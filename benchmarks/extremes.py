@@ -18,13 +18,11 @@ from macro_fem.fem.hung_law import HungLaw
 from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import read_scene
-from rve.common.errors import InputError
+from rve.common import InputError
 from rve.directions import product
 from rve.equilibrium.system import Equations
-from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE, Weave
-from rve.simulation.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions, simulate
+from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, Cell, Weave, cauchy_line_load
+from rve.simulation import ROUND_OFF, StewartTrinkleOptions, simulate
 from rve.solve import solve_table
 from rve.table import StrainTable
 

@@ -15,10 +15,11 @@ from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import Rectangle
 from macro_fem.scene.tables import Bar, Item, Wind
-from rve import solve_table, with_rings
+from rve import solve_table
 from rve.common import InputError, checked, csv_text, digits, job, part_of, shown, write_text
 from rve.common.drawing.plane import new_axes, save_figure
 from rve.common.typed import not_one_of
+from rve.wire import with_rings
 
 VARIED: dict[str, tuple[str, str, Callable[[Item], bool]]] = {
     "pitch": ("mm", "hooks or runners", lambda item: bool(getattr(item, "has_hooks", False))),

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from rve.common.files import checksum
+from rve.common import checksum
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = ROOT / "tests" / "test_homogenize" / "data" / "table190.csv"

@@ -14,8 +14,7 @@ from macro_fem import read_scene
 from macro_fem.job import solve
 from macro_fem.rings.ring_scene import ring_scene
 from rve import Cell, FiniteSolution, solve_table, with_rings
-from rve.wire.section import Ring
-from rve.wire.strength import peak_stress
+from rve.wire import Ring, peak_stress
 
 NEAR = 2.0
 """Rings next to a hook: within this many sides of the reference cell of a held one."""

@@ -13,9 +13,8 @@ from benchmarks.problems import Array, loads
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
 from rve.equilibrium.limits import polish, touching
 from rve.equilibrium.system import Equations
-from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load
-from rve.simulation.stewart_trinkle import StewartTrinkleOptions, simulate
+from rve.geometry import Cell, cauchy_line_load
+from rve.simulation import StewartTrinkleOptions, simulate
 
 LIGHT = 1e-6
 """Share of the mass that is left in a motion without inertia."""

@@ -16,9 +16,7 @@ from benchmarks.work_precision.generic import Programme, slsqp
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
 from rve.equilibrium.limits import strain_is_unique
 from rve.equilibrium.system import Equations
-from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load, second_pk
-from rve.geometry.pose import Pose, deformation, strain_of
+from rve.geometry import Cell, Pose, cauchy_line_load, deformation, second_pk, strain_of
 from rve.simulation import stewart_trinkle as st
 from rve.solve import reference_sides
 

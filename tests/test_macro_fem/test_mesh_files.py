@@ -3,7 +3,7 @@
 import pytest
 
 from macro_fem.scene.meshing.mesh_files import read_mesh_file
-from rve.common.errors import InputError
+from rve.common import InputError
 from tests.squares import MSH, mesh_of, write_square
 
 

@@ -18,7 +18,7 @@ from macro_fem.output.told import governing_line
 from macro_fem.report import _loads, _sections, write_report
 from macro_fem.size import search
 from rve import Cell, grid, solve_table, with_rings
-from rve.common.errors import InputError
+from rve.common import InputError
 
 HOOKS = """
 curtain = {width = 330.0, height = 252.9}

@@ -8,7 +8,7 @@ from macro_fem.output.forces import pulls, winds
 from macro_fem.output.images import in_turn, parts
 from macro_fem.output.pictures import STATES, panels
 from macro_fem.output.space_view import views
-from rve.common.errors import InputError
+from rve.common import InputError
 from tests.films import film_of
 from tests.test_macro_fem.sheets import sheet
 

@@ -24,8 +24,7 @@ from rve.finite.contacts import (
 )
 from rve.finite.newton import METRIC, NewtonSystem, blocks, forces_that_stop, gradients, negative_part, rows_of, spread
 from rve.finite.problem import Iterate, ScaledProblem
-from rve.geometry.ring_pair import tangent_frame
-from rve.geometry.weave import WEAVES
+from rve.geometry import WEAVES, tangent_frame
 from rve.plots import ALONG
 
 G = 9.81

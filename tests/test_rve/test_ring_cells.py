@@ -10,16 +10,11 @@ from rve.common.tensor import trace
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.limits import with_limits
 from rve.equilibrium.system import Equations
-from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
-from rve.geometry.pose import deformation
-from rve.geometry.ring_pair import tangent_frame
-from rve.geometry.weave import FOUR_IN_ONE
+from rve.geometry import FOUR_IN_ONE, Cell, cauchy_line_load, deformation, green_lagrange, second_pk, tangent_frame
 from rve.placed import central_forces
 from rve.solve import locked_block, reference_sides, solve_table
-from rve.wire.cell_stiffness import contact_ends, contact_flexibility, elastic_forces, ring_states, with_rings
-from rve.wire.section import Ring, out_of_plane_inertia, shear_factor
-from rve.wire.strength import peak_stress
+from rve.wire import Ring, out_of_plane_inertia, peak_stress, ring_states, shear_factor, with_rings
+from rve.wire.cell_stiffness import contact_ends, contact_flexibility, elastic_forces
 
 from .frame import frame_flexibility
 

@@ -5,10 +5,9 @@ import pytest
 from scipy.optimize import linprog
 
 from rve import Material, pulled_ring
-from rve.common.errors import InputError, NotConverged
-from rve.wire.kernels import internal_forces, self_stress
-from rve.wire.section import Ring
-from rve.wire.strength import BENDING, TORSION, StrengthOptions, checked_sections, largest_factors, plastic_collapse
+from rve.common import InputError, NotConverged
+from rve.wire import Ring, internal_forces, plastic_collapse, self_stress
+from rve.wire.strength import BENDING, TORSION, StrengthOptions, checked_sections, largest_factors
 
 from .frame import random_load
 
@@ -77,7 +76,7 @@ def test_a_linear_program_of_plastic_hinges_agrees(seed):
 
 
 def test_collapse_grows_with_yield_and_lies_above_first_yield():
-    from rve.wire.strength import peak_stress
+    from rve.wire import peak_stress
 
     phi, forces = pulls(2)
     one, two = (plastic_collapse(phi, forces, RING, s)[0][0] for s in (200.0, 500.0))

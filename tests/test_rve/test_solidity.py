@@ -5,9 +5,9 @@ import pytest
 
 import rve
 from rve.equilibrium.interior_point import DirectOptions
-from rve.geometry.pose import Pose
+from rve.geometry import Pose
 from rve.solve import reference_pose
-from rve.wire.solidity import shadow
+from rve.wire import shadow
 
 
 def one_ring(side, tilt):

@@ -7,11 +7,9 @@ import pytest
 
 from rve.equilibrium.interior_point import solve_equilibrium
 from rve.equilibrium.system import Equations
-from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.pose import strain_of
-from rve.geometry.weave import FOUR_IN_ONE
+from rve.geometry import FOUR_IN_ONE, cauchy_line_load, strain_of
+from rve.simulation import Dynamics, StewartTrinkleOptions, copies
 from rve.simulation import stewart_trinkle as st
-from rve.simulation.dynamics import Dynamics, StewartTrinkleOptions, copies
 
 EQUATIONS = Equations.of(FOUR_IN_ONE, 0.1)
 OPTIONS = StewartTrinkleOptions()

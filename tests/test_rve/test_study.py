@@ -6,12 +6,10 @@ import json
 import numpy as np
 import pytest
 
-from rve.common.progress import heard_by
+from rve.common import heard_by
 from rve.directions import grid
-from rve.geometry.weave import FOUR_IN_ONE
-from rve.simulation import study
-from rve.simulation.dynamics import copies
-from rve.simulation.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions
+from rve.geometry import FOUR_IN_ONE
+from rve.simulation import ROUND_OFF, StewartTrinkleOptions, copies, study
 
 PICTURES = [f"fig_{n:02d}.png" for n in (9, 10, 11, 12, 13, 14, 15, 16, 17)]
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from rve.equilibrium.system import Equations
-from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.weave import FOUR_IN_ONE
+from rve.geometry import FOUR_IN_ONE, cauchy_line_load
+from rve.simulation import StewartTrinkleOptions
 from rve.simulation import stewart_trinkle as st
-from rve.simulation.dynamics import StewartTrinkleOptions
 from tests.test_rve import ten_rings as ten
 
 EQUATIONS = Equations.of(FOUR_IN_ONE, ten.WIRE)
