@@ -64,15 +64,16 @@ class FiniteOptions(Typed):
 
 @dataclass(frozen=True)
 class StepMethod:
-    """How a Newton step is made; lengths in r1.
+    """Numbers of a Newton step; lengths in r1.
 
-    travel: longest way of a support in an iteration. regularisation: stiffness of every coordinate, so that loose rings
-    stay where they are. turns: how often pairs and contacts that limit a step are stiffened before it is taken, twice
-    counted with another factor. short: a step of a smaller fraction is short. rank: of the largest update of a factor.
-    closing: contacts that close before these fractions of a step are stiffened, fewer where they are many. closed:
-    fraction of its gap that a stiffened contact may close. many: fraction of the pairs without negative curvature above
-    which all lose it. corrections: trials of a step, as it is and corrected. farthest: fraction of a gap that the
-    linear forecast of a step may close. least: fraction of the gap of a pair that a step must leave.
+    travel: longest way of a support in an iteration. regularisation: stiffness of every coordinate, which keeps loose
+    rings in place. turns: how often pairs and contacts that limit a step are stiffened before it is taken; another
+    factor counts as two. short: a smaller fraction of a step is short. rank: of the largest update of a factor.
+    closing: contacts that close before these fractions of a step are stiffened, the smaller one if they are many.
+    closed: fraction of its gap that a stiffened contact may close. many: fraction of pairs without negative curvature
+    above which all lose it. attempts: how often single pairs are damped before a step is shortened. corrections: trials
+    of a step, as it is and corrected. farthest: fraction of a gap that the linear forecast of a step may close. least:
+    fraction of the gap of a pair that a step must leave.
     """
 
     travel: float = 3.0
@@ -83,6 +84,7 @@ class StepMethod:
     closing: tuple[float, ...] = (1.0, 0.5)
     closed: float = 0.8
     many: float = 0.5
+    attempts: int = 3
     corrections: int = 3
     farthest: float = 0.995
     least: float = 0.002
@@ -90,16 +92,16 @@ class StepMethod:
 
 @dataclass(frozen=True)
 class PathMethod:
-    """How mu, the product of force and gap, falls and rises.
+    """Numbers of the path of mu, the product of force and gap.
 
-    shrink, power: the next mu is the lesser of shrink mu and mu^power, once the Newton decrement of a ring is below
+    shrink, power: the next mu of a ring is the lesser of shrink mu and mu^power, once its Newton decrement is below
     `centred` mu. smoothing: passes over neighbours in which decrements are averaged. lift: factor on mu of stagnant
-    rings, and of those within `links` links; at the last mu its powers up to the one of `final_lifts`, one after the
-    other. attempts: how often single pairs are damped before a step is shortened. reaches: (mu, reach) of contacts from
-    this mu on, as farther ones have next to no force. parts: of the way of supports, tried in this order; larger ones
-    close gaps for good in 1 of 100 random sheets. window: iterations in which supports must come 1 % nearer, or a step
-    must be longer than 1e-6. idle, balanced: iterations without progress at the last mu, and residual, at which
-    unbalanced pairs get fixed points.
+    rings, and of those within `links` links. reaches: (mu, reach) of contacts from this mu on; farther ones have next
+    to no force. parts: of the way of supports, tried in this order; larger ones close gaps for good in some sheets that
+    are drawn far together. window: iterations in which supports must come 1 % nearer, and a step must be longer than
+    1e-6. idle, balanced: iterations without progress at the last mu, and residual, at which unbalanced pairs get fixed
+    points. slide_mu, slide_damping, slides: over a floor mu does not fall below the first while pairs are damped by the
+    second and lifts are fewer than the third, since sliding rings gain little for the damping.
     """
 
     shrink: float = 0.3
@@ -108,22 +110,23 @@ class PathMethod:
     smoothing: int = 4
     lift: float = 30.0
     links: int = 6
-    final_lifts: int = 4
-    attempts: int = 3
     reaches: tuple[tuple[float, float], ...] = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))
     parts: tuple[int, ...] = (1, 8, 40)
-    window: int = 50
+    window: int = 25
     idle: int = 5
     balanced: float = 1e-3
+    slide_mu: float = 1e-5
+    slide_damping: float = 0.1
+    slides: int = 4
 
 
 @dataclass(frozen=True)
 class SolverMethod:
-    """Numbers of the solver that no user sets; what they do to iterations is in docs/reports/evidence.md.
+    """Numbers of the solver that no user sets.
 
     ring_mu: mu below which each ring has its own, and single contacts and rings are treated one by one. guide_mu,
-    guide_stiffness: above this mu rings are pulled to the guide, with this stiffness over mu. gap_share: largest
-    disturbance of the start over its least gap. clearance: of the start from half-spaces that cut it, r1.
+    guide_stiffness: above this mu springs pull rings to the guide, with this stiffness over mu. gap_share: largest
+    disturbance of the start over its least gap. clearance: distance in r1 of the start from half-spaces that cut it.
     """
 
     ring_mu: float = 1e-4

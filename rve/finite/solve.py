@@ -23,10 +23,6 @@ from rve.finite.newton import NewtonSystem, Step, gradients, line_search, spread
 from rve.finite.problem import BLOCK, FiniteOptions, HalfSpace, Iterate, Problem, ScaledProblem
 from rve.finite.solution import FiniteSolution, IterationRecord, SolverResult, as_solution
 
-_SLIDING, _DAMPED, _SLIDES = 1e-5, 0.1, 4
-"""But over a floor not below the first mu while a pair is damped by the second: its rings slide, and gain little for
-the damping. So for that many lifts; without a floor damped pairs are folds, which the next mu passes in fewer steps."""
-
 
 @dataclass(frozen=True, eq=False)
 class FiniteMesh(RingLayout):
@@ -120,8 +116,8 @@ class _Path:
         self.best, self.best_merit = iterate, np.inf
         self.distances: list[float] = []  # of supports from their places, in this part
         self.history: list[IterationRecord] = []
-        self.slides = _SLIDES if self.start.walls and problem.inertia is None else 0
-        self.final_lifts, self.is_minimum, self.factorize = 0, False, Factorizer()
+        self.slides = self.method.slides if self.start.walls and problem.inertia is None else 0
+        self.is_minimum, self.factorize = False, Factorizer()
         if parts > 1:
             self._aim()
 
@@ -137,7 +133,8 @@ class _Path:
             self._advance()
             if not self.has_arrived and self._are_supports_stuck():
                 return self._result("out-of-reach")
-            if len(self.history) >= 25 and all(record.length < 1e-6 for record in self.history[-25:]):
+            last = self.history[-self.method.window :]
+            if len(last) == self.method.window and all(record.length < 1e-6 for record in last):
                 return self._result("stalled" if self.has_arrived else "out-of-reach")
         return self._result("iterations")
 
@@ -159,7 +156,7 @@ class _Path:
         if self.is_end and self.merit < self.best_merit:
             self.best, self.best_merit = iterate, self.merit
         self.stagnation.count(self.merit, iterate.gain)
-        is_sliding = most <= _SLIDING and iterate.local.max(initial=0.0) >= _DAMPED
+        is_sliding = most <= self.method.slide_mu and iterate.local.max(initial=0.0) >= self.method.slide_damping
         is_sliding = is_sliding and self.stagnation.lifts.max() < self.slides
         is_centred = (iterate.gain >= 0.0) & (iterate.gain < self.method.centred * iterate.mu)
         self.is_centred = is_centred & ~self.is_last & (not is_sliding)
@@ -182,36 +179,36 @@ class _Path:
 
     def _change_mu(self) -> None:
         """Lower mu of centred rings and lift that of stagnant ones."""
-        iterate, problem, lift = self.iterate, self.problem, self.method.lift
+        iterate, problem = self.iterate, self.problem
         is_stuck = self.is_end and bool(self.is_stagnant.any())
         if is_stuck:
             # Guard points move with their minimum and may keep a last residual: the next end goes without them.
             self.problem = replace(problem, guard_points=not problem.guard_points, fixed_points=NO_POINTS)
-            lift, self.final_lifts = lift ** (1 + self.final_lifts % self.method.final_lifts), self.final_lifts + 1
-        mu, is_lifted = self._next_mu(np.where(self.is_stagnant, lift, 0.0))
+        mu, is_lifted = self._next_mu()
         self.stagnation.begin(mu != iterate.mu, is_lifted)
         self.iterate, reach = replace(iterate, mu=mu), self.reach(float(mu.max()))
         if reach != iterate.contacts.reach or is_stuck:
             self.iterate = self.iterate.at(self.problem.find(iterate.contacts.pose, reach))
 
-    def _next_mu(self, lift: Array) -> tuple[Array, Flags]:
-        """mu (n,) of the rings for the next iterate, and which of them were lifted; lift (n,): factors on it, or 0.
+    def _next_mu(self) -> tuple[Array, Flags]:
+        """mu (n,) of the rings for the next iterate, and which of them were lifted.
 
         Rings near a lifted one are lifted as well: at a small mu a fold shortens the steps at every ring that it meets,
         at a larger mu it passes in a few steps.
         """
-        iterate, con, options, level = self.iterate, self.iterate.contacts, self.options, lift * self.iterate.mu
+        iterate, con, options = self.iterate, self.iterate.contacts, self.options
+        level = np.where(self.is_stagnant, self.method.lift * iterate.mu, 0.0)
         coupled = con.count > 0
         for _ in range(self.method.links):
             near = con.pair_max(level)[coupled]
             for end in (con.a, con.b):
                 np.maximum.at(level, end[coupled], near)
-        is_for_all = _have_one_mu(iterate, self.problem) or bool((lift > 0.0).all())
+        is_for_all = _have_one_mu(iterate, self.problem) or bool(self.is_stagnant.all())
         level = np.minimum(level, options.first if is_for_all else 0.9 * self.problem.method.ring_mu)
         is_lifted = level > iterate.mu
         lower = np.maximum(options.last, np.minimum(self.method.shrink * iterate.mu, iterate.mu**self.method.power))
         mu = np.where(is_lifted, level, np.where(self.is_centred, lower, iterate.mu))
-        return mu, is_lifted | (lift > 0.0)
+        return mu, is_lifted | self.is_stagnant
 
     def reach(self, mu: float) -> float:
         """The reach of contacts at a mu."""
@@ -235,11 +232,11 @@ class _Path:
         iterate = self.iterate
         system = NewtonSystem(iterate, self.problem, gradients(iterate.contacts), self.factorize)
         new, step, length = None, None, 0.0
-        for attempt in range(self.method.attempts + 1):
+        for attempt in range(self.problem.method.step.attempts + 1):
             step = system.step()
             if step is None:
                 break
-            new, length = line_search(system, step, is_last=attempt == self.method.attempts)
+            new, length = line_search(system, step, is_last=attempt == self.problem.method.step.attempts)
             if new is not None:
                 break
         self.history.append(IterationRecord(length, system.trials, system.factors))

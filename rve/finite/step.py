@@ -30,8 +30,6 @@ STEP = tuple(
 """Options of a step, tried in this order. Most steps need no path of mu. Where many contacts open and close, steps at
 a small mu are short, and at a larger one minima of distances may split and merge without end. The curvature below which
 that happens falls with the root of the gap, so few such minima are left at the end of a path, and others at another."""
-_STILL = 1e-9
-"""Scale of residuals without any force: the force that moves all rings by this fraction of r1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +126,7 @@ def _with_inertia(problem: Problem, weight: Array, aim: Array, places: Array) ->
     mesh, r1, n = problem.mesh, problem.mesh.cell.r1, len(problem.force)
     inert = weight[:, None] * np.abs(aim - places)
     load = float(np.abs(problem.force).sum() + np.abs([wall.load for wall in problem.walls]).sum() + inert.sum())
-    load = max(load, _STILL * r1 * float(weight.sum()))
+    load = max(load, 1e-9 * r1 * float(weight.sum()))  # without any force: that of a tiny move of all rings
     scaled, radius, none = problem.scaled(load), gyration_radius(r1, mesh.cell.r2), np.zeros((len(problem.walls), 3))
     place, normal = (np.concatenate([part, none]) for part in (aim[:n] / r1, aim[n : 2 * n] / radius))
     mass, rotary = (np.append(part, none[:, 0]) for part in (weight[:n], weight[n : 2 * n]))
