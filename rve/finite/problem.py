@@ -99,8 +99,7 @@ class PathMethod:
     rings, and of those within `links` links. reaches: (mu, reach) of contacts from this mu on; farther ones have next
     to no force. parts: of the way of supports, tried in this order; larger ones close gaps for good in some sheets that
     are drawn far together. window: iterations in which supports must come 1 % nearer, and a step must be longer than
-    1e-6. idle, balanced: iterations without progress at the last mu, and residual, at which unbalanced pairs get fixed
-    points. slide_mu, slide_damping, slides: over a floor mu does not fall below the first while pairs are damped by the
+    1e-6. idle: iterations without progress at the last mu after which unbalanced pairs get fixed points. slide_mu, slide_damping, slides: over a floor mu does not fall below the first while pairs are damped by the
     second and lifts are fewer than the third, since sliding rings gain little for the damping.
     """
 
@@ -114,7 +113,6 @@ class PathMethod:
     parts: tuple[int, ...] = (1, 8, 40)
     window: int = 25
     idle: int = 5
-    balanced: float = 1e-3
     slide_mu: float = 1e-5
     slide_damping: float = 0.1
     slides: int = 4

@@ -168,7 +168,7 @@ class _Path:
             # A time step needs no more damping here; whether its matrix is positive definite shows without it.
             none = 0.0 * self.iterate.local
             self.iterate = replace(self.iterate, damping=0.0, local=none, convex=none)
-        if self.is_end and self.stagnation.idle == self.method.idle and self.merit < self.method.balanced:
+        if self.is_end and self.stagnation.idle == self.method.idle:
             self._add_fixed_points()
         if self.has_arrived and self.is_centred.all() and self.part < self.parts:
             self.part, self.distances, self.has_arrived = self.part + 1, [], False
