@@ -18,13 +18,11 @@ from macro_fem.fem.hung_law import HungLaw
 from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import read_scene
-from rve.common.errors import InputError
+from rve.common import InputError
 from rve.directions import product
 from rve.equilibrium.system import Equations
-from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE, Weave
-from rve.paper.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions, solve
+from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, Cell, Weave, cauchy_line_load
+from rve.simulation import ROUND_OFF, StewartTrinkleOptions, simulate
 from rve.solve import solve_table
 from rve.table import StrainTable
 
@@ -102,7 +100,7 @@ def motion_row(name: str, changes: dict[str, float], steps: int) -> Row:
     """Six loads in the paper's scheme with these options changed."""
     options = replace(StewartTrinkleOptions(), max_steps=steps, **changes)  # type: ignore[arg-type]
     s = cauchy_line_load(*UNIQUE[:6].T)
-    found = solve(s, Equations.of(FOUR_IN_ONE, WIRE), options, history=True)
+    found = simulate(s, Equations.of(FOUR_IN_ONE, WIRE), options, history=True)
     assert found.history is not None
     row: Row = {"what is varied": name, OUTCOME: outcomes(found.status), "steps, median": float(np.median(found.steps))}
     intact = found.contacts.links_intact.all()

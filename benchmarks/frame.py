@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.measure import ROOT, TEXTS, Row
-from rve.common.files import write_text
+from rve.common import write_text
 
 MARKERS = "osD^v<>pPX*h"
 COLOURS = ["#3f90da", "#e76300", "#832db6", "#717581", "#bd1f01", "#008a6e", "#a96b59", "#b58900", "#1f3a5f", "#92a50f"]

@@ -13,8 +13,7 @@ from benchmarks.frame import table, table_text
 from benchmarks.measure import Row, least_seconds
 from rve.common import Array
 from rve.common.tensor import from_disc
-from rve.geometry.cell import Cell
-from rve.geometry.weave import WEAVES
+from rve.geometry import WEAVES, Cell
 from rve.support_function import support
 
 RATIOS = {

@@ -18,7 +18,7 @@ from homogenize import load_law
 from homogenize.fitting.fit import fit_table
 from macro_fem import read_scene, solve
 from rve.equilibrium.interior_point import DirectOptions
-from rve.geometry.cell import Cell
+from rve.geometry import Cell
 from rve.solve import solve_table
 from rve.table import write_table
 

@@ -14,7 +14,7 @@ from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.stored import SCHEMA, UNITS, StoredLaw
 from homogenize.strength import Strength, read_strength
 from rve.common import Typed, checked, read_as, read_json_object, read_typed, shown
-from rve.common.rings import check_rings
+from rve.common.cell_fields import check_rings
 
 DEFAULT_LAW = Path(__file__).parent / "data" / "rings_10.json"
 """The file of `default_law`."""

@@ -17,11 +17,12 @@ import numpy as np
 from msgspec import Meta
 
 from homogenize.directions import Directions, folds_of, tensile_part
-from rve import StrainTable, cauchy_line_load
+from rve import StrainTable
 from rve.common import Array, Flags, InputError, Rows, Typed, checked, read_entry, read_typed
+from rve.common.cell_fields import Joint
 from rve.common.materials import Material, Stress
-from rve.common.rings import Joint
 from rve.common.tensor import IDENTITY, WEIGHT, eigenvalues, trace
+from rve.geometry import cauchy_line_load
 
 MAKE_AGAIN = "make the table again with rve table --rings, and fit the law again"
 

@@ -28,8 +28,8 @@ from macro_fem.scene.scene import Scene, load_scene
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import Combination, LiveLoad
 from macro_fem.solution import CurtainSolution
-from rve import Cell
 from rve.common import Cache, InputError, check_out_job, checked, noted_if_stopped, part_of
+from rve.geometry import Cell
 
 Who = MembraneLaw | LawInterval | OnDemand | EveryRing | None
 """Who answers: a law, the interval of laws of a table, a law asked of the rings on the way, or every ring; None for the

@@ -204,7 +204,6 @@ class Trials:
         who = self._law(value) if sought.vary == "r2" else sought.who
         if case is not None:
             assert not isinstance(who, OnDemand)
-            law = who.law if isinstance(who, LawInterval) else who or default_law()
             scene = combined(scene, case)
         start = self._starts.get(case) or next(filter(None, self._starts.values()), None)
         return scene, who, start if sought.may_start else None

@@ -11,10 +11,10 @@ from typing import Any
 import click
 
 from rve.common import SENTENCES, InputError, NotConverged, numbers_of, read_json_object, sidecar_path, tell
+from rve.common.cell_fields import Joint, check_ring_size
 from rve.common.commands.command_line import Group, answer, check_plot, options, parse_load, say, say_next
 from rve.common.commands.sweeps import SweepItem, further_options, run_sweep, sweep_options
 from rve.common.materials import MATERIALS, material_of
-from rve.common.rings import Joint, check_ring_size
 from rve.common.typed import BadField
 
 MOST_TABLES = 10_000
@@ -117,9 +117,9 @@ def main() -> None:
 def table(out: Path, rings: bool, joint: str | None, branches: Any, reference: Any, **rest: Any) -> None:
     """Write the strain-load table of a grid or a list of load directions."""
     from rve.equilibrium.interior_point import DirectOptions
-    from rve.more_columns import with_rings
     from rve.solve import solve_table
     from rve.table import check_out_table, write_table
+    from rve.wire.cell_stiffness import with_rings
 
     if joint is not None and not rings:
         raise InputError("--joint: belongs to --rings, which is not given")
@@ -252,9 +252,9 @@ def table_columns(record: dict[str, Any]) -> dict[str, Any]:
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder to write into.")
 def study(out: Path) -> None:
     """Reproduce the paper's figures 9-17 for this implementation, and set its published figures beside ours."""
-    from rve.paper.study import RECORD, comparison, markdown, run
+    from rve.simulation.study import RECORD, comparison, markdown, run_study
 
-    found = run(out)
+    found = run_study(out)
     say(markdown(comparison(found)).rstrip())
     answer(read_json_object(out / RECORD))
     say_next("rve", "table", "--out", out / "table.csv", why="the same cases by the direct solver, as a table")

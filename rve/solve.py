@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rve.common import SENTENCES, Array, InputError, NotConverged, checked, part_of, versions
+from rve.common.cell_fields import areal_mass
 from rve.common.files import TABLE_FORMAT
-from rve.common.rings import areal_mass
 from rve.common.tensor import double_dot
 from rve.directions import grid
 from rve.equilibrium.branches import RowStates, largest_rows

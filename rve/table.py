@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from rve.common import Array, InputError, Rows, atomic_path, check_belongs, checksum, json_text, require, sidecar_path
 from rve.common.arguments import checked
+from rve.common.cell_fields import check_rings
 from rve.common.files import TABLE_FORMAT, AnyPath, Inputs, check_out_file
 from rve.common.records import ByValue
-from rve.common.rings import check_rings
 from rve.common.texts import csv_text, number_column, read_as, read_columns, read_json_object
 from rve.geometry.weave import WEAVES
 

@@ -9,7 +9,7 @@ from examples.curtain import Setting, run
 from examples.which_wire import run as run_wires
 from macro_fem import read_scene
 from rve import Material, with_rings
-from rve.geometry.cell import Cell
+from rve.geometry import Cell
 from rve.solve import solve_table
 from tests.test_macro_fem.sheets import sheet
 

@@ -21,11 +21,9 @@ from homogenize.laws.net import ring_net
 from macro_fem.rings.curtain import read_curtain
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import load_scene
-from rve.common.errors import InputError
-from rve.common.files import checksum
-from rve.common.texts import numbers_of
+from rve.common import InputError, checksum, numbers_of
 from rve.directions import parse_angles, read_loads
-from rve.geometry.cell import Cell
+from rve.geometry import Cell
 from rve.solve import solve_table
 from rve.table import read_table, write_table
 from tests.squares import MSH, mesh_of, square, write_square

@@ -15,15 +15,15 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from rve.common.files import checksum
+from rve.common import checksum
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = ROOT / "tests" / "test_homogenize" / "data" / "table190.csv"
 SCENE = '[curtain]\nwidth = 70.0\nheight = 60.0\n[mesh]\ncells = {cells}\n[support]\nkind = "corners"\n'
 STEPS = SCENE + '[load]\nsteps = 2\n[[load.edge]]\nedge = "bottom"\nforce = [0.0, -1e-3]\n'
 STUDY = (
-    "from rve.paper.study import run; from rve.paper.stewart_trinkle import StewartTrinkleOptions; "
-    "run('out', {alpha}, [0.0, 45.0], StewartTrinkleOptions(max_steps=40))"
+    "from rve.simulation.study import run_study; from rve.simulation.stewart_trinkle import StewartTrinkleOptions; "
+    "run_study('out', {alpha}, [0.0, 45.0], StewartTrinkleOptions(max_steps=40))"
 )
 
 

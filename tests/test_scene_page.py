@@ -15,7 +15,8 @@ from macro_fem.scene.obstacles import Obstacle
 from macro_fem.scene.shapes import Shape
 from macro_fem.scene.sites import Support
 from macro_fem.scene.tables import LiveLoad
-from rve.common.typed import typed, types_of
+from rve.common import types_of
+from rve.common.typed import typed
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "scenes.md"
 NOUNS = [cls for base in (Shape, Support, LiveLoad, Obstacle, Ball) for cls in base.kinds.values()]

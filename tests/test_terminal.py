@@ -17,7 +17,7 @@ from homogenize import FitOptions
 from homogenize.cli import KINDS
 from rve import WEAVES
 from rve.cli import WEAVE_NAMES
-from rve.common.typed import types_of
+from rve.common import types_of
 from tests.commands import GROUPS, run
 
 GRID = ("--alpha", "0,20,45", "--beta", "0:90:30")

@@ -14,8 +14,7 @@ from macro_fem import read_scene
 from macro_fem.job import solve
 from macro_fem.rings.ring_scene import ring_scene
 from rve import Cell, FiniteSolution, solve_table, with_rings
-from rve.ring.section import Ring
-from rve.ring.strength import peak_stress
+from rve.wire import Ring, peak_stress
 
 NEAR = 2.0
 """Rings next to a hook: within this many sides of the reference cell of a held one."""
@@ -54,7 +53,7 @@ def measure(full: bool) -> Section:
     good = [row for row in rows if row["status"] == "converged"]
     text = (
         "Rings of r1/r2 = 10, in space, of the default steel. A ring's utilisation: the largest von Mises stress by "
-        "its contact forces (`rve.ring.strength`) over the yield stress; the force at a hook acts where the ring's "
+        "its contact forces (`rve.wire.strength`) over the yield stress; the force at a hook acts where the ring's "
         "wire meets its line. The rings are rigid: where they leave forces open, these are one choice of many. `disk`: "
         f"the utilisation of the summary, {CELLS} columns of finite elements. `{HOOK}`: against two opposed forces. "
         f"`{BESIDE}`: rings within {NEAR:g} cells of a held one against the larger of averages and point forces. Hooks "

@@ -8,9 +8,9 @@ from benchmarks.frame import Section, table
 from benchmarks.measure import Row, outcomes
 from macro_fem.rings.ring_scene import RingScene, ring_scene
 from rve import FiniteOptions
+from rve.finite.contacts import MeshPose, find_mesh_contacts, links_intact
 from rve.finite.problem import Problem
-from rve.finite.solver import solve_rings
-from rve.finite.touching import Placed, find_touching, links_intact
+from rve.finite.solve import solve_rings
 
 SWEEPS, STRIDE = 40, 0.08
 """Rounds of random motion that make a start, and the largest motion of a round in r1 and radians."""
@@ -43,15 +43,15 @@ def _row(sheet: int, k: int, count: int, space: bool) -> Row:
     scale = float(np.abs(rings.force).sum()) * float(np.ptp(rings.mesh.X[:, 1]))
     woven = {(int(a), int(b)) for a, b in rings.mesh.linked}
     r1, wire = rings.mesh.cell.r1, rings.mesh.cell.wire
-    task, X = problem_of(rings, space).task(), np.pad(rings.mesh.X, ((0, 0), (0, 1)))
+    problem, X = problem_of(rings, space).scaled(), np.pad(rings.mesh.X, ((0, 0), (0, 1)))
     status, potential, intact, gaps = [], [], 0, []
     for seed in range(count):
-        found = solve_rings(task, random_start(rings, space, seed), FiniteOptions())
-        placed = found.touching.placed
+        found = solve_rings(problem, random_start(rings, space, seed), FiniteOptions())
+        pose = found.contacts.pose
         status.append(found.status)
-        potential.append(float((rings.force * (X - r1 * placed.x)).sum()) / scale)
-        intact += linked_pairs(placed.x, placed.normal, 1.0) == woven
-        gaps.append(least_gap(placed.x, placed.normal, 1.0, wire))
+        potential.append(float((rings.force * (X - r1 * pose.x)).sum()) / scale)
+        intact += linked_pairs(pose.x, pose.normal, 1.0) == woven
+        gaps.append(least_gap(pose.x, pose.normal, 1.0, wire))
     own = rings.solve(space=space)
     good = np.array(potential)[np.array(status) == "converged"]
     row = {"scene": SHEETS[sheet].key, "rings": len(rings.mesh.X), "centres": "space" if space else "plane"}
@@ -66,23 +66,23 @@ def problem_of(rings: RingScene, space: bool) -> Problem:
     return Problem(rings.mesh, rings.force, rings.held, rings.at, space)
 
 
-def random_start(rings: RingScene, space: bool, seed: int) -> Placed:
+def random_start(rings: RingScene, space: bool, seed: int) -> MeshPose:
     """An admissible placement far from the slack weave."""
     rng = np.random.default_rng(seed)
     mesh, wire = rings.mesh, rings.mesh.cell.wire
     keys = mesh.linked[:, 0] * len(mesh.X) + mesh.linked[:, 1]
-    placed = problem_of(rings, space).start(FiniteOptions(disturbance=0.0))
+    pose = problem_of(rings, space).start(FiniteOptions(disturbance=0.0))
     for _ in range(SWEEPS):
         q = STRIDE * rng.uniform(-1.0, 1.0, (len(mesh.X), 5))
         if not space:
             q[:, 2] = 0.0
         for _ in range(30):
-            trial = placed.moved(q)
-            con = find_touching(trial, mesh.linked, wire, 0.1, beside=False)
+            trial = pose.moved(q)
+            con = find_mesh_contacts(trial, mesh.linked, wire, 0.1, guard_points=False)
             bad = con.deepest < 0.01
             if not bad.any():
                 break
             q[con.a[bad]] = q[con.b[bad]] = 0.0
         if not bad.any() and links_intact(con, keys):
-            placed = trial
-    return placed
+            pose = trial
+    return pose

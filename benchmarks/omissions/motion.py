@@ -13,9 +13,8 @@ from benchmarks.problems import Array, loads
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
 from rve.equilibrium.limits import polish, touching
 from rve.equilibrium.system import Equations
-from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load
-from rve.paper.stewart_trinkle import StewartTrinkleOptions, solve
+from rve.geometry import Cell, cauchy_line_load
+from rve.simulation import StewartTrinkleOptions, simulate
 
 LIGHT = 1e-6
 """Share of the mass that is left in a motion without inertia."""
@@ -72,7 +71,7 @@ def locked_by_motion(s: Array, equations: Equations, term: str) -> Equilibrium:
     """Locked states under the unit line loads s (n, 3) at the end of motions; iterations are time steps."""
     paper = StewartTrinkleOptions()
     how = replace(paper, density=LIGHT * paper.density) if term == "damping" else paper
-    rest = solve(s, equations, how)
+    rest = simulate(s, equations, how)
     steps, at_rest = rest.steps, rest.status == "converged"
     found = polish(rest.pose, equations, s, TOUCHING)
     is_locked = (DirectOptions.tolerance > found.R) & (found.contacts.min_gap > -1e-10) & found.contacts.links_intact

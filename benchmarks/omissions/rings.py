@@ -12,11 +12,7 @@ from benchmarks.omissions.motion import TOLERANCE
 from benchmarks.problems import Array, loads
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
 from rve.equilibrium.system import REACH, Equations
-from rve.geometry import contacts
-from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.pose import pair_geometry
-from rve.geometry.weave import SIX_IN_ONE
+from rve.geometry import SIX_IN_ONE, Cell, cauchy_line_load, contacts, pair_geometry
 
 CELLS = {
     "4-in-1, r1/r2 = 4.2": Cell(5.0, 5.0 / 4.2),

@@ -20,9 +20,9 @@ from benchmarks.work_precision.curtain import corner_height, reference_height
 from examples.curtain import SETTINGS, Setting, extrapolated
 from homogenize.fitting.fit import FitOptions, fit
 from homogenize.laws.protocol import MembraneLaw
-from rve.common.errors import InputError
+from rve.common import InputError
 from rve.equilibrium.interior_point import DirectOptions
-from rve.geometry.cell import Cell
+from rve.geometry import Cell
 from rve.solve import solve_table
 from rve.table import StrainTable
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from benchmarks.every_ring.brute import Array, frames, minima, to_circle
 from benchmarks.frame import Diagram, Section, curves, table
 from benchmarks.measure import Row, count_of, decade, ladder
-from rve.common.records import Rows
-from rve.geometry.ring_pair import are_linked, foot_on_circle, local_minima
+from rve.common import Rows
+from rve.geometry import are_linked, foot_on_circle, local_minima
 
 REACH = 1.0
 SAME = 0.1

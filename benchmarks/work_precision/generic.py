@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import NonlinearConstraint, minimize
 
 from rve.equilibrium.system import Equations
-from rve.geometry.contacts import distance_gradient
-from rve.geometry.pose import Pose, pair_geometry, start_pose
-from rve.geometry.ring_pair import local_minima, tangent_frame
+from rve.geometry import Pose, distance_gradient, local_minima, pair_geometry, start_pose, tangent_frame
 
 Array = NDArray[np.float64]
 BOX = (-1.5, 1.5)  # without bounds on the coordinates the first step of SLSQP unlinks the rings

@@ -19,7 +19,7 @@ from homogenize.laws.protocol import MembraneLaw
 from homogenize.query.strain import locked_strain
 from rve.common.tensor import double_dot, trace
 from rve.directions import graded_grid
-from rve.geometry.cell import Cell
+from rve.geometry import Cell
 from rve.solve import solve_table
 from rve.table import StrainTable
 

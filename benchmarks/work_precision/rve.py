@@ -16,10 +16,8 @@ from benchmarks.work_precision.generic import Programme, slsqp
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
 from rve.equilibrium.limits import strain_is_unique
 from rve.equilibrium.system import Equations
-from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load, second_pk
-from rve.geometry.pose import Pose, deformation, strain_of
-from rve.paper import stewart_trinkle as st
+from rve.geometry import Cell, Pose, cauchy_line_load, deformation, second_pk, strain_of
+from rve.simulation import stewart_trinkle as st
 from rve.solve import reference_sides
 
 Array = NDArray[np.float64]
@@ -119,7 +117,7 @@ def direct_alone(given: Problem, mu: float) -> Answer:
 
 def scheme(given: Problem, options: st.StewartTrinkleOptions) -> Answer:
     """The paper's scheme, all cases in one batch."""
-    rest = st.solve(given.s, given.equations, options)
+    rest = st.simulate(given.s, given.equations, options)
     return Answer(given.strain(rest.pose), rest.status == "converged", int((rest.steps + rest.rejected).sum()))
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from homogenize.laws.geometry import DEPENDENT, MAX_ROUNDS, polyhedron_of
+from homogenize.laws.geometry import OPTIONS, polyhedron_of
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import MembraneLaw
 from rve.common import Array, InputError, checked, write_text
@@ -37,9 +37,9 @@ def umat_source(law: MembraneLaw, title: str = "") -> str:
         "TITLE": title[:60],
         "DENSITY": "(its own)" if law.cell is None else f"{law.cell.areal_mass_kg_per_m2 * 1e-9:.9E}",
         "M": str(len(body.h)),
-        "ROUNDS": str(MAX_ROUNDS),
-        "TOLERANCE": "1.0D-13",
-        "SMALL": f"{DEPENDENT**2:.3E}".replace("E", "D"),
+        "ROUNDS": str(OPTIONS.max_rounds),
+        "TOLERANCE": f"{OPTIONS.tolerance:.1E}".replace("E", "D"),
+        "SMALL": f"{OPTIONS.dependent**2:.3E}".replace("E", "D"),
         "DATA": "\n".join(blocks),
     }
     source = resources.files(__package__).joinpath("umat.f").read_text(encoding="utf-8")

@@ -22,16 +22,16 @@ from homogenize.fitting.bounds import inner_law, outer_law
 from homogenize.fitting.refine import RESOLUTION, Resolution, refined_half_spaces
 from homogenize.fitting.report import error_report
 from homogenize.fitting.rows import NORMALITY_TOLERANCE, LockedRows, normality, rows_from_table, rows_to_dict
-from homogenize.laws.giving import constant_compliance, giving_law, work_along
+from homogenize.laws.giving import constant_compliance, work_along
 from homogenize.laws.net import STATED_STIFFNESS, ring_cell, ring_net
-from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_law
+from homogenize.laws.polyhedral import PolyhedralLaw, giving_law, polyhedral_law
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.report import ErrorReport
 from homogenize.laws.stored import StoredLaw
 from homogenize.strength import strength_of_table
 from rve import StrainTable
 from rve.common import Array, InputError, Typed, checked, checksum
-from rve.common.rings import STEEL_KG_PER_MM3, check_rings
+from rve.common.cell_fields import STEEL_KG_PER_MM3, check_rings
 from rve.common.tensor import disc, trace
 
 STATED_LOAD = 1.0

@@ -20,19 +20,29 @@ from homogenize.laws.protocol import Response
 from rve.common import Array, Index, InputError, NotConverged
 from rve.common.tensor import WEIGHT, dyad, trace
 
-TOLERANCE = 1e-13
-"""A half-space counts as violated above this strain; rounding of S:E is a few 1e-16."""
-DEPENDENT = 1e-9
-"""Normals that are this near to the span of others count as dependent."""
-MAX_ROUNDS = 300
 DIRECTIONS = 180
 """Vectors v of v.(I + 2E) v >= 0, which every deformation obeys."""
 BLOCK = 64
 """Points compared with all half-spaces at a time: few enough to stay in the cache, many enough to hide Python. They
-share one piece of memory: fresh pieces take five times as long."""
+share one buffer: fresh ones take five times as long."""
 PRODUCTS = 2**18
 """Multiplications at a time at most: from twice as many on OpenBLAS wakes its threads, which beside another program
 took ten times as long."""
+
+
+@dataclass(frozen=True)
+class ProjectionOptions:
+    """Numbers of the projection. tolerance: strain above which a half-space is violated, where rounding of S:E is a few
+    1e-16. dependent: distance from the span of others at which a normal depends on them. max_rounds: limit of rounds,
+    in each of which a half-space joins.
+    """
+
+    tolerance: float = 1e-13
+    dependent: float = 1e-9
+    max_rounds: int = 300
+
+
+OPTIONS = ProjectionOptions()
 
 
 class ProjectionError(NotConverged):
@@ -98,7 +108,7 @@ def respond(E: Array, body: Polyhedron) -> Response:
     return Response(0.5 * (shift**2).sum(axis=1), S, C, ((y - shift) @ body.inverse.T)[:, :3])
 
 
-def project(y: Array, body: Polyhedron) -> tuple[Array, Array]:
+def project(y: Array, body: Polyhedron, options: ProjectionOptions = OPTIONS) -> tuple[Array, Array]:
     """The way (n, k) from the closest points to y (n, k), and the projector (n, k, k) on the active normals.
 
     ProjectionError if the iteration does not end.
@@ -107,22 +117,25 @@ def project(y: Array, body: Polyhedron) -> tuple[Array, Array]:
     shift, span = np.zeros((n, k)), np.zeros((n, k, k))
     index, factor = np.zeros((n, k), np.intp), np.zeros((n, k))
     todo = np.arange(n)
-    for _ in range(MAX_ROUNDS):
+    for _ in range(options.max_rounds):
         worst, excess = body.worst((y[todo] - shift[todo]) @ body.inverse.T)
-        is_known = ((index[todo] == worst[:, None]) & (factor[todo] > 0.0)).any(axis=1)
-        out = (excess > TOLERANCE) & ~is_known
+        is_active = ((index[todo] == worst[:, None]) & (factor[todo] > 0.0)).any(axis=1)
+        out = (excess > options.tolerance) & ~is_active
         todo, worst = todo[out], worst[out]
         if not todo.size:
             return shift, span
-        best = _best_subset(y[todo], body, index[todo], factor[todo], worst)
+        best = _best_subset(y[todo], body, index[todo], factor[todo], worst, options.dependent)
         grows = (best[0] ** 2).sum(axis=1) > (shift[todo] ** 2).sum(axis=1)  # no growth: the excess is rounding
         todo = todo[grows]
-        for kept, found in zip((shift, span, index, factor), best, strict=True):
-            kept[todo] = found[grows]
-    raise ProjectionError(f"{len(todo)} closest points not found in {MAX_ROUNDS} rounds: use fewer, more distinct rows")
+        for array, values in zip((shift, span, index, factor), best, strict=True):
+            array[todo] = values[grows]
+    rounds = options.max_rounds
+    raise ProjectionError(f"{len(todo)} closest points not found in {rounds} rounds: use fewer, more distinct rows")
 
 
-def _best_subset(y: Array, body: Polyhedron, index: Index, old: Array, new: Index) -> tuple[Array, Array, Index, Array]:
+def _best_subset(
+    y: Array, body: Polyhedron, index: Index, old: Array, new: Index, dependent: float
+) -> tuple[Array, Array, Index, Array]:
     """Shift, projector, half-spaces and multipliers of the best subset of index (n, k) that holds `new` (n,).
 
     `old` (n, k) are the multipliers of `index`; idle ones take no part.
@@ -137,7 +150,7 @@ def _best_subset(y: Array, body: Polyhedron, index: Index, old: Array, new: Inde
         which = np.column_stack([index[rows][:, subset], new[rows]])
         N = body.normals[which].transpose(0, 2, 1)
         Q, R = np.linalg.qr(N)
-        good = (np.abs(np.einsum("nkk->nk", R)) > DEPENDENT * np.linalg.norm(N, axis=1)).all(axis=1)
+        good = (np.abs(np.einsum("nkk->nk", R)) > dependent * np.linalg.norm(N, axis=1)).all(axis=1)
         R = np.where(good[:, None, None], R, np.eye(R.shape[1]))
         excess = np.einsum("nik,ni->nk", N, y[rows]) - body.h[which]
         across = np.linalg.solve(R.transpose(0, 2, 1), excess[:, :, None])

@@ -1,4 +1,4 @@
-"""Rings that give by direction: ideal locking with a compliance that depends on the direction of the load.
+"""A compliance that depends on the direction of the load, as one of a floor and widenings of half-spaces.
 
 Let d_i = S_i:D S_i be the compliance of the rings along the load of every half-space S_i:E <= h_i of a law. The law is
 
@@ -14,30 +14,17 @@ With y = (R E, tau) as in `homogenize.laws.geometry` this is the closest point o
 whose half-spaces at most four are active.
 """
 
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
-
 import numpy as np
-from scipy.spatial import cKDTree
 
-from homogenize.laws.geometry import Polyhedron, highest, outer_vertices, polyhedron_of
-from homogenize.laws.polyhedral import PolyhedralLaw
-from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, check_finite
-from homogenize.laws.stored import StoredLaw
-from rve.common import Array, InputError, checked
-from rve.common.tensor import WEIGHT, disc, double_dot
+from homogenize.strength import Strength
+from rve.common import Array, InputError
+from rve.common.tensor import WEIGHT, double_dot
 
 LEAST_SHARE = 1e-3
 """Eigenvalues of a compliance below this share of the largest are raised to it: no load direction is rigid."""
 FLOOR = 0.9
 """The floor's largest part of the compliance along a load. Nearer to 1: the stiffest direction is left to the floor
 alone; smaller: the stress turns faster from one half-space to the next."""
-SAME = 1e-9
-"""Half-spaces nearer to each other than this are one."""
-LEVELS = 13
-"""Levels of tau between which support functions are interpolated."""
-FAR = 100.0
-"""Locked strains of a law of elastic curtains are not those of cells: bounds of I + 2E widen this much faster."""
 
 
 def constant_compliance(S: Array, work: Array, is_mirrored: bool) -> Array:
@@ -63,74 +50,14 @@ def work_along(S: Array, A: Array) -> Array:
     return np.asarray(double_dot(S, (A @ S[:, :, None])[:, :, 0]))
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class GivingLaw(PolyhedralLaw):
-    """A polyhedral law whose rings give by direction: its stiffness is that of the floor D0, `extra` (m,) are the roots
-    g_i of its half-spaces, in (mm/N)^0.5.
-
-    A law of elastic curtains. Strains may have a fourth component, tau, by which `cut` widens every half-space.
-    """
-
-    extra: Array
-
-    def half_spaces(self) -> HalfSpaces:
-        """Half-spaces to start with: the widening of each is its own, or the largest, which holds for all."""
-        start = super().half_spaces()
-        known = cKDTree(np.column_stack([disc(self.S), self.h]))
-        distance, which = known.query(np.column_stack([disc(start.S), start.h]))
-        return replace(start, extra=np.where(distance < SAME, self.extra[which], self.extra.max()))
-
-    def cut(self, E: Array) -> Cut:
-        """The most violated half-space of strains E (n, 3), or (n, 4) with tau, see MembraneLaw."""
-        check_finite(E)
-        E = E if E.shape[1] == 4 else np.column_stack([E, np.zeros(len(E))])
-        worst, violation = self._body.worst(E)
-        return Cut(self.S[worst], self.h[worst], violation, self.extra[worst])
-
-    @cached_property
-    def _body(self) -> Polyhedron:
-        return polyhedron_of(self.S, self.h, self.stiffness, self.extra)
-
-    elastic = StoredLaw.elastic
-
-    def compliance_along(self, S: Array, size: float) -> Array:
-        """Twice the complementary energy beyond size h(S), over size^2, mm/N, (n,): S:D S of this law at line loads
-        size S in N/mm, S (n, 3) of unit trace.
-
-        The largest of size H - tau^2/2 over tau, where H, the support function of half-spaces widened by tau, is
-        concave in tau and taken as linear between LEVELS of it.
-        """
-        tau = size * self.extra.max() * np.linspace(0.0, 1.0, LEVELS) ** 2
-        H = np.stack(
-            [highest(S, outer_vertices(self.S, self.h + one * self.extra, FAR * one * self.extra.max())) for one in tau]
-        )
-        slope = np.diff(H, axis=0) / np.diff(tau)[:, None]
-        at = np.clip(size * slope, tau[:-1, None], tau[1:, None])
-        most = (size * (H[:-1] + slope * (at - tau[:-1, None])) - 0.5 * at**2).max(axis=0)
-        return np.asarray(2.0 * (most - size * H[0]) / size**2 + work_along(S, self.compliance))
-
-
-@checked
-def elastic_law(law: MembraneLaw) -> MembraneLaw:
-    """The law of an elastic curtain: with the compliance of its rings over the direction if it holds their strength,
-    else a constant one.
-    """
-    return law.elastic()
-
-
-def giving_law(law: PolyhedralLaw) -> GivingLaw | None:
-    """The law with the compliance that its strength holds over the direction; None if it holds none."""
-    strength = law.strength
-    if strength is None:
-        return None
-    known = strength.stretched
+def split_compliance(S: Array, strength: Strength) -> tuple[Array, Array] | None:
+    """Stiffness D0^-1 (3, 3) of the floor in N/mm and widenings g (m,) in (mm/N)^0.5 of half-spaces of loads S (m, 3)
+    of unit trace; None if the strength has too few directions."""
+    rows = strength.stretched
     try:
-        work = strength.compliance_along(law.S)
-    except InputError:  # too few directions
+        work = strength.compliance_along(S)
+    except InputError:
         return None
-    A = constant_compliance(known.S, known.compliance, known.is_mirrored)
-    along = work_along(law.S, A)
-    floor = FLOOR * float((work / along).min()) * A
-    stiffness, extra = np.linalg.inv(floor), np.sqrt(work - work_along(law.S, floor))
-    same = {one.name: getattr(law, one.name) for one in fields(law)}
-    return GivingLaw(**(same | {"stiffness": stiffness, "extra": extra}))
+    A = constant_compliance(rows.S, rows.compliance, rows.is_mirrored)
+    floor = FLOOR * float((work / work_along(S, A)).min()) * A
+    return np.asarray(np.linalg.inv(floor)), np.asarray(np.sqrt(work - work_along(S, floor)))

@@ -17,7 +17,7 @@ from msgspec import Meta
 from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, MembraneLaw, Response, check_finite
 from homogenize.laws.stored import StoredLaw
 from rve.common import Array, Typed, checked, read_typed
-from rve.common.rings import STEEL_KG_PER_MM3, areal_mass
+from rve.common.cell_fields import STEEL_KG_PER_MM3, areal_mass
 from rve.common.tensor import IDENTITY, WEIGHT, disc, double_dot, dyad, from_disc, trace
 
 ROUNDING = 1e-6
@@ -106,7 +106,7 @@ class NetLaw(StoredLaw, kind="net"):
         return Cut(S, h, double_dot(S, E) - h)
 
     def response(self, E: Array) -> Response:
-        """Energy, stress and tangent of the elastic net: each taut fibre is a linear spring in its own Green strain."""
+        """Energy, stress and tangent of the elastic net: each taut fibre is a linear spring in its Green strain."""
         check_finite(E)
         N = dyad(self.directions)
         excess = np.maximum(E @ (N * WEIGHT).T - 0.5 * (self.limit**2 - 1.0), 0.0)
@@ -117,7 +117,7 @@ class NetLaw(StoredLaw, kind="net"):
 
     def elastic(self) -> MembraneLaw:
         """The net whose two fibres alone limit the strain, which `response` is the energy of."""
-        return ElasticNet(**{one.name: getattr(self, one.name) for one in fields(self)})
+        return ElasticNet(**{field.name: getattr(self, field.name) for field in fields(self)})
 
     def _lift(self) -> Array:
         """Strain (2, 3) per unit of excess of each fibre, in the metric in which the two fibres do not interact."""
@@ -130,13 +130,13 @@ class NetLaw(StoredLaw, kind="net"):
 
     @classmethod
     def from_dict(cls, data: dict[str, Any], where: str) -> NetLaw:
-        found = read_typed(NetEntries, data, where)
-        return NetLaw(np.array(found.directions), found.limit, found.stiffness_N_per_mm)
+        entries = read_typed(NetEntries, data, where)
+        return NetLaw(np.array(entries.directions), entries.limit, entries.stiffness_N_per_mm)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ElasticNet(NetLaw):
-    """The net of elastic curtains: two linear springs, also where they are drawn into one line.
+    """The net of elastic curtains: two linear springs, also where they are drawn into a line.
 
     `NetLaw` has I + 2E positive semidefinite among its half-spaces. Strains of curtains obey this, strains of their
     locked parts E - D S need not.

@@ -44,30 +44,30 @@ def plot_sections(law: MembraneLaw, shears: tuple[float, ...] = SHEARS, ax: Any 
 
 
 def plot_strength(
-    law: MembraneLaw, known: Strength | None, yield_N_per_mm2: float | None = None, axes: Any = None
+    law: MembraneLaw, strength: Strength | None, yield_N_per_mm2: float | None = None, axes: Any = None
 ) -> Any:
     """The locking surface in strain space, first yield and collapse in the space of line loads, and sections of both.
 
-    known: the strength of the law. axes: three, the first two of them 3D, by default those of a new figure; they are
+    strength: that of the law. axes: three, the first two of them 3D, by default those of a new figure; they are
     returned. InputError if there is no strength, or neither it nor the caller has a yield stress.
     """
-    if known is None:
+    if strength is None:
         raise InputError(f"the law holds no strength; {MAKE_AGAIN}")
-    stress = known.yield_stress(yield_N_per_mm2)
+    stress = strength.yield_stress(yield_N_per_mm2)
     if axes is None:
         figure = new_figure(13.5, 4.8)
         solid = [solid_axes(figure.add_subplot(1, 3, k, projection="3d")) for k in (1, 2)]
         axes = [*solid, figure.add_subplot(1, 3, 3)]
     _plot_locking(law, axes[0])
-    first, last = strength_loads(known, stress)
+    first, last = strength_loads(strength, stress)
     axes[1].plot_surface(
         *np.moveaxis(first, -1, 0), cmap="cividis", alpha=0.9, rcount=73, ccount=25, label="first yield"
     )
     axes[1].plot_wireframe(*np.moveaxis(last, -1, 0), color=VERMILION, lw=0.7, rcount=24, ccount=6, label="collapse")
     axes[1].set(xlabel="S11 (N/mm)", ylabel="S12 (N/mm)", zlabel="S22 (N/mm)", title="Space of line loads")
     axes[1].legend(loc="upper left", fontsize=11)
-    _plot_strength_sections(known, stress, axes[2])
-    axes[0].figure.suptitle(f"{known.joint} rings of {known.material.name}, yield stress {stress:g} N/mm2")
+    _plot_strength_sections(strength, stress, axes[2])
+    axes[0].figure.suptitle(f"{strength.joint} rings of {strength.material.name}, yield stress {stress:g} N/mm2")
     return axes
 
 
@@ -90,19 +90,19 @@ def _plot_locking(law: MembraneLaw, ax: Any) -> None:
     ax.set(xlabel="E11", ylabel="E12", zlabel="E22", title="Strain space: locking surface")
 
 
-def strength_loads(known: Strength, stress: float) -> tuple[Array, Array]:
+def strength_loads(strength: Strength, stress: float) -> tuple[Array, Array]:
     """Line loads (73, 25, 3) in N/mm of first yield and of collapse, over directions and shares of the smaller one."""
     share, angle = np.meshgrid(np.linspace(0.0, 1.0, 25), np.linspace(0.0, 2.0 * np.pi, 73))
     S = from_disc(np.stack([share * np.cos(angle), share * np.sin(angle)], axis=-1).reshape(-1, 2))
-    used = known.utilisation(S, stress), known.collapse_utilisation(S, stress)
-    first, last = ((S / one[:, None]).reshape(*share.shape, 3) for one in used)
+    used = strength.utilisation(S, stress), strength.collapse_utilisation(S, stress)
+    first, last = ((S / values[:, None]).reshape(*share.shape, 3) for values in used)
     return first, last
 
 
-def _plot_strength_sections(known: Strength, stress: float, ax: Any) -> None:
+def _plot_strength_sections(strength: Strength, stress: float, ax: Any) -> None:
     """First yield (lines) and collapse (dashes) over the principal line loads, for three principal directions."""
     share = np.linspace(0.0, 1.0, 91)
-    uses = (known.utilisation, "-", "first yield"), (known.collapse_utilisation, "--", "collapse")
+    uses = (strength.utilisation, "-", "first yield"), (strength.collapse_utilisation, "--", "collapse")
     for degrees, colour, mark in ((0, "black", "o"), (22.5, BLUE, "s"), (45, VERMILION, "^")):
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         first, second = np.array([c * c, c * s, s * s]), np.array([s * s, -c * s, c * c])

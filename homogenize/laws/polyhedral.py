@@ -1,4 +1,4 @@
-"""The polyhedral law: the rows' own half-spaces, from outside or from inside, no fit at all.
+"""The polyhedral law: half-spaces of the rows, from outside or from inside, without a fit; its elastic form.
 
 Outer form: {E : S_i:E <= h_i}, all that the rows allow. Inner form: the hull of the rows' strains minus the tensile
 cone, all that the rows reach; its half-spaces are the hull's tensile facets and loads of rank one.
@@ -6,20 +6,26 @@ cone, all that the rows reach; its half-spaces are the hull's tensile facets and
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta
+from scipy.spatial import cKDTree
 
 from homogenize.laws.geometry import Polyhedron, fibres, highest, outer_vertices, polyhedron_of, respond
+from homogenize.laws.giving import split_compliance, work_along
 from homogenize.laws.net import LEAST_STIFFNESS, MOST_STIFFNESS, STATED_STIFFNESS
 from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, MembraneLaw, Response, check_finite
 from homogenize.laws.stored import StoredLaw
 from rve.common import Array, InputError, Typed, read_typed
-from rve.common.tensor import WEIGHT, eigenvalues, trace
+from rve.common.tensor import WEIGHT, disc, eigenvalues, trace
 
+LEVELS = 13
+"""Levels of tau between which support functions are interpolated."""
+FAR = 100.0
+"""Locked strains of a law of elastic curtains are not those of cells: bounds of I + 2E widen this much faster."""
 MOST_HALF_SPACES = 50_000
 """In a law file. A table of 403 rows gives some 5,000; reading takes longer in proportion."""
 MOST_STRAIN = 1e3
@@ -62,12 +68,10 @@ class PolyhedralLaw(StoredLaw, kind="polyhedral"):
         return HalfSpaces(S, self.support(S))
 
     def elastic(self) -> MembraneLaw:
-        from homogenize.laws.giving import giving_law
-
         return giving_law(self) or self
 
     def cut(self, E: Array) -> Cut:
-        """The most violated of the law's own half-spaces; no load between them is violated more."""
+        """The most violated half-space of the law; none of a load between them is violated more."""
         check_finite(E)
         worst, violation = self._body.worst(E)
         return Cut(self.S[worst], self.h[worst], violation)
@@ -85,9 +89,11 @@ class PolyhedralLaw(StoredLaw, kind="polyhedral"):
 
     @classmethod
     def from_dict(cls, data: dict[str, Any], where: str) -> PolyhedralLaw:
-        found = read_typed(PolyhedronEntries, data, where)
+        entries = read_typed(PolyhedronEntries, data, where)
         try:
-            return polyhedral_law(np.array(found.S), np.array(found.h), stiffness_matrix(found.stiffness_N_per_mm))
+            return polyhedral_law(
+                np.array(entries.S), np.array(entries.h), stiffness_matrix(entries.stiffness_N_per_mm)
+            )
         except InputError as error:
             raise InputError(f"{where} {error}") from error
 
@@ -95,6 +101,62 @@ class PolyhedralLaw(StoredLaw, kind="polyhedral"):
         unsaid = "stated" if np.array_equal(self.stiffness, STATED_STIFFNESS * np.eye(3)) else ""
         is_stated = str(self.provenance.get("stiffness", unsaid)).startswith("stated")
         return self if is_stated else replace(self, stiffness=self.stiffness / factor)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class GivingLaw(PolyhedralLaw):
+    """A polyhedral law with a compliance by direction, for elastic curtains (`homogenize.laws.giving`).
+
+    Its stiffness is that of the floor D0; extra (m,): the widenings g_i of its half-spaces, in (mm/N)^0.5. Strains may
+    have a fourth component, tau.
+    """
+
+    extra: Array
+
+    def half_spaces(self) -> HalfSpaces:
+        """Half-spaces to start with, each with its widening in the law, or the largest if it is not among them."""
+        start = super().half_spaces()
+        tree = cKDTree(np.column_stack([disc(self.S), self.h]))
+        distance, row = tree.query(np.column_stack([disc(start.S), start.h]))
+        return replace(start, extra=np.where(distance < 1e-9, self.extra[row], self.extra.max()))
+
+    def cut(self, E: Array) -> Cut:
+        """The most violated half-space of strains E (n, 3), or (n, 4) with tau, see MembraneLaw."""
+        check_finite(E)
+        E = E if E.shape[1] == 4 else np.column_stack([E, np.zeros(len(E))])
+        worst, violation = self._body.worst(E)
+        return Cut(self.S[worst], self.h[worst], violation, self.extra[worst])
+
+    @cached_property
+    def _body(self) -> Polyhedron:
+        return polyhedron_of(self.S, self.h, self.stiffness, self.extra)
+
+    elastic = StoredLaw.elastic
+
+    def compliance_along(self, S: Array, size: float) -> Array:
+        """Twice the complementary energy beyond size h(S), over size^2, mm/N, (n,): S:D S of this law at line loads
+        size S in N/mm, S (n, 3) of unit trace.
+
+        The largest of size H - tau^2/2 over tau, where H, the support function of half-spaces widened by tau, is
+        concave in tau and taken as linear between LEVELS of it.
+        """
+        tau = size * self.extra.max() * np.linspace(0.0, 1.0, LEVELS) ** 2
+        H = np.stack(
+            [highest(S, outer_vertices(self.S, self.h + t * self.extra, FAR * t * self.extra.max())) for t in tau]
+        )
+        slope = np.diff(H, axis=0) / np.diff(tau)[:, None]
+        at = np.clip(size * slope, tau[:-1, None], tau[1:, None])
+        most = (size * (H[:-1] + slope * (at - tau[:-1, None])) - 0.5 * at**2).max(axis=0)
+        return np.asarray(2.0 * (most - size * H[0]) / size**2 + work_along(S, self.compliance))
+
+
+def giving_law(law: PolyhedralLaw) -> GivingLaw | None:
+    """The law with the compliance by direction of its strength; None if it has none."""
+    split = None if law.strength is None else split_compliance(law.S, law.strength)
+    if split is None:
+        return None
+    same = {field.name: getattr(law, field.name) for field in fields(law)}
+    return GivingLaw(**(same | {"stiffness": split[0], "extra": split[1]}))
 
 
 def polyhedral_law(S: Array, h: Array, stiffness: Array | None = None, cell: CellInfo | None = None) -> PolyhedralLaw:

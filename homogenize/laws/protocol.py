@@ -11,11 +11,11 @@ from typing import Protocol
 
 import numpy as np
 
-from rve.common import Array, ByValue, InputError, Rows, Typed
-from rve.common.rings import ArealMass, Length
+from rve.common import Array, ByValue, InputError, Rows, Typed, checked
+from rve.common.cell_fields import ArealMass, Length
 
 SAME_RINGS = 1e-6
-"""Relative difference of radii and reference cells that are taken for the same."""
+"""Relative difference of radii and reference cells that are count as the same."""
 
 
 def check_finite(values: Array, what: str = "strains") -> None:
@@ -38,15 +38,17 @@ class CellInfo(Typed):
     b_y_mm: Length
     areal_mass_kg_per_m2: ArealMass
 
-    def check_same(self, other: CellInfo, where: str, own: str) -> None:
-        """InputError if `other` are rings of another shape, of any size; `where` names them, `own` the rings here."""
-        shapes = [np.array([one.r2_mm, one.b_x_mm, one.b_y_mm]) / one.r1_mm for one in (other, self)]
+    def check_same(self, other: CellInfo, where: str, name: str) -> None:
+        """InputError if `other` are rings of another shape, of any size; `where` names them, `name` these rings."""
+        shapes = [np.array([cell.r2_mm, cell.b_x_mm, cell.b_y_mm]) / cell.r1_mm for cell in (other, self)]
         if np.abs(np.subtract(*shapes)).max() > SAME_RINGS:
-            given, here = (", ".join(f"{x:.6g}" for x in one) for one in shapes)
-            theirs, mine = other.weave(), self.weave()
-            if theirs and mine and theirs != mine:
-                raise InputError(f"{where}: has the weave {theirs}, {own} the weave {mine}; give both the same one")
-            raise InputError(f"{where}: r2, b_x and b_y over r1 are {given}, those of {own} are {here}")
+            given, own = (", ".join(f"{x:.6g}" for x in shape) for shape in shapes)
+            weaves = other.weave(), self.weave()
+            if all(weaves) and weaves[0] != weaves[1]:
+                raise InputError(
+                    f"{where}: has the weave {weaves[0]}, {name} the weave {weaves[1]}; give both the same one"
+                )
+            raise InputError(f"{where}: r2, b_x and b_y over r1 are {given}, those of {name} are {own}")
 
     def weave(self) -> str:
         """The name of the weave and its grain, by the sides of the reference cell; "" if no weave has them."""
@@ -125,3 +127,10 @@ class MembraneLaw(Protocol):
 
     def elastic(self) -> MembraneLaw:
         """The law of elastic curtains: K+ with a compliance behind it, by direction where the law knows it."""
+
+
+@checked
+def elastic_law(law: MembraneLaw) -> MembraneLaw:
+    """The law of an elastic curtain: with the compliance of its rings by direction if it has their strength, else with
+    a constant one."""
+    return law.elastic()

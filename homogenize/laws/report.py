@@ -22,14 +22,14 @@ class Misfit(Typed):
     worst_S: tuple[Component, Component, Component]
 
     def text(self, title: str) -> str:
-        """The numbers in one line."""
+        """The numbers on a line."""
         S = ", ".join(f"{x:.4f}" for x in self.worst_S)
         return f"{title}: max {self.maximum:.2e} at S = ({S}), mean {self.mean:.2e}, {self.count} loads"
 
 
 @dataclass(frozen=True)
 class ErrorReport(Typed):
-    """What is known of a law's error; supports at unit trace of S, so that they compare with strains.
+    """The error of a law; supports at unit trace of S, so that they compare with strains.
 
     `rows`: the law at the rows it was fitted to. `held_out`: rows left out in turn, the law refitted without them; None
     where no refit was possible. `gap`: outer minus inner bound at random tensile loads, with no reference at all.

@@ -1,4 +1,4 @@
-"""What every law of this package has beside its mechanics: rings, provenance, error report, file, picture."""
+"""What laws have in common apart from mechanics: rings, provenance, error report, file, picture."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ UNITS = {"strain": "1", "line_load": "N/mm", "stiffness": "N/mm", "length": "mm"
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class StoredLaw(MembraneLaw):
-    """Base of the laws that have a file: `class ClothLaw(StoredLaw, kind="cloth")` makes files of this kind known.
+    """Base of the laws that have a file: `class ClothLaw(StoredLaw, kind="cloth")` registers the kind of their files.
 
     cell: the rings behind the law. provenance: where it comes from (table, options, error report). strength: that of
     the rings (`homogenize.strength`), None if the table of the law has none.
@@ -31,7 +31,7 @@ class StoredLaw(MembraneLaw):
     strength: Strength | None = None
 
     def __init_subclass__(cls, kind: str | None = None) -> None:
-        """Make the kind of law known to `homogenize.load_law`; without a kind it is that of the base."""
+        """Register the kind of law for `homogenize.load_law`; without a kind it is that of the base."""
         super().__init_subclass__()
         if kind is not None:
             cls.kind, StoredLaw.kinds[kind] = kind, cls
@@ -52,8 +52,8 @@ class StoredLaw(MembraneLaw):
     @property
     def report(self) -> ErrorReport | None:
         """How wrong the law can be; None for a law that was not fitted. InputError if its file holds no such report."""
-        known = self.provenance.get("report")
-        return None if known is None else read_typed(ErrorReport, known, "the law's report:")
+        report = self.provenance.get("report")
+        return None if report is None else read_typed(ErrorReport, report, "the law's report:")
 
     def elastic(self) -> MembraneLaw:
         """The law itself, whose compliance is constant."""

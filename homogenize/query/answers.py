@@ -11,9 +11,9 @@ from homogenize.fitting.rows import LockedRows, rows_from_provenance, with_mirro
 from homogenize.io import load_law
 from homogenize.query.strain import locked_strain
 from homogenize.strength import MAKE_AGAIN
-from rve import cauchy_of
 from rve.common import Array, InputError
 from rve.common.tensor import double_dot, eigenvalues, trace
+from rve.geometry import cauchy_of
 
 ROUNDING = 1e-12
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from homogenize.fitting.rows import LockedRows, normality, with_mirror
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.query.strain_bounds import strain_bounds
-from rve import cauchy_line_load, cauchy_of, deformation_gradient, second_pk
 from rve.common import Array, InputError, Rows, checked, part_of, tell
 from rve.common.tensor import IDENTITY, WEIGHT, disc, from_disc, trace
+from rve.geometry import cauchy_line_load, cauchy_of, deformation_gradient, second_pk
 
 FLAT = 1e-6
 """C = I + 2E with a determinant or side below this is a cell drawn to a line: no load can be pulled back to it."""

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from homogenize.fitting.rows import LockedRows, normality, with_mirror
-from rve import deformation_gradient, second_pk
 from rve.common import Array, Rows
 from rve.common.tensor import IDENTITY, WEIGHT, double_dot, trace
+from rve.geometry import deformation_gradient, second_pk
 
 STAR = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 CORNERS = np.array([[1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])

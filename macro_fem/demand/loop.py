@@ -25,9 +25,11 @@ from macro_fem.output.strength import critical_load
 from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.scene import Scene
 from macro_fem.solution import CurtainSolution
-from rve import Cell, cauchy_of, load_angles, solve_table, with_rings
+from rve import solve_table
 from rve.common import Array, part_of, tell
 from rve.common.tensor import disc, trace
+from rve.geometry import Cell, cauchy_of, load_angles
+from rve.wire import with_rings
 
 LAW_SHARE, AGAIN = 0.15, 2.0
 """The law may widen the interval by this part of what is asked, or of what the mesh does now: more saves ring solves

@@ -16,7 +16,7 @@ from msgspec import Meta
 
 from homogenize import CellInfo, LawInterval, LockedRows, cell_of, interval_of_table, law_interval, read_law_interval
 from macro_fem.demand.directions import rounded
-from rve import Cell, solve_table, support
+from rve import solve_table, support
 from rve.common import (
     NO_CACHE,
     Array,
@@ -30,8 +30,9 @@ from rve.common import (
     versions,
 )
 from rve.common.arguments import check_fields
-from rve.common.rings import check_ring_size
+from rve.common.cell_fields import check_ring_size
 from rve.common.tensor import WEIGHT, disc, from_disc, mirror
+from rve.geometry import Cell
 
 Beside = tuple[tuple[float, float], ...]
 """Directions that a direction was solved with, whose locked states were starts."""

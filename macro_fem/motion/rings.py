@@ -22,8 +22,8 @@ from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
 from macro_fem.scene.loads import BREEZE, PER_MM2, areal_mass
 from macro_fem.scene.scene import Scene
 from macro_fem.solvers.path import times
-from rve import FiniteSolution, HalfSpace, RoundBody, ring_places, slack_rings, step_rings, with_bodies
 from rve.common import Array, NotConverged, digits
+from rve.finite import FiniteSolution, HalfSpace, RoundBody, ring_places, slack_rings, step_rings, with_bodies
 
 NEAR = 1e-6
 """Rings within this part of r1 of where supports hold them are there."""

@@ -28,9 +28,9 @@ from macro_fem.output.line_load import FINE, Extreme, Nearby
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import Bar, EdgeLoad
 from macro_fem.solution import CurtainSolution
-from rve import pulled_ring
 from rve.common import Array, InputError, digits
 from rve.common.tensor import dyad, eigenvalues
+from rve.wire import pulled_ring
 
 EVEN = 1.05
 """Pointwise utilisations this many times the average over `WIDER` mesh cells at the place vary over these cells."""

@@ -14,13 +14,14 @@ from msgspec import Meta
 
 from macro_fem.fem.cells import recovered, signed_areas
 from macro_fem.scene.meshing.mesh_files import read_mesh_file
-from rve import Cell, cell_of_sides
 from rve.common import Array, Index, InputError, Rows, Typed, check_belongs, read_json_object, read_typed, types_of
 from rve.common.arguments import checked
+from rve.common.cell_fields import check_rings
 from rve.common.materials import STEEL, Material
 from rve.common.records import ByValue
-from rve.common.rings import check_rings
 from rve.common.texts import read_as
+from rve.finite import cell_of_sides
+from rve.geometry import Cell
 
 SIDES = ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm")
 

@@ -14,10 +14,12 @@ from macro_fem.output.images import save_picture
 from macro_fem.output.page import write_page
 from macro_fem.output.pictures import Drawings, Pictures, draw_all
 from macro_fem.rings.curtain import Curtain, Sites
-from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestPoses
+from rve import DrawnRings
 from rve.common import Array, Index, checked, csv_text, digits, job, versions, write_text
 from rve.common.drawing.space import THREE_QUARTERS, add, add_length, below, lines, look, new_plotter
 from rve.common.optional import Axes, Plotter
+from rve.geometry import Cell
+from rve.placed import NEAR, POSE_MEANINGS, CellForces, Fit, NearestPoses
 
 RECORD = "localize.json"
 """The file that stands for the job; it lists the others by their checksums."""

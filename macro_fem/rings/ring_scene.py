@@ -26,9 +26,11 @@ from macro_fem.scene.sites import Sliding, edge_nodes
 from macro_fem.scene.supports import build_supports, check_pins, pin_sliding
 from macro_fem.scene.tables import Bar, Wind, in_3d
 from macro_fem.solution import CurtainSolution
-from rve import Cell, FiniteMesh, FiniteOptions, FiniteSolution, HalfSpace, cell_of_sides, solve_table
+from rve import solve_table
 from rve.common import Array, Index, InputError
 from rve.common.materials import material_of
+from rve.finite import FiniteMesh, FiniteOptions, FiniteSolution, HalfSpace, cell_of_sides
+from rve.geometry import Cell
 
 SLIDES = 1e-6
 """Part of the loads up to which the force of a pin counts as none: walls push a little where nothing touches."""

@@ -23,9 +23,9 @@ from macro_fem.scene.obstacles import unit
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.sites import edge_nodes, facet_nodes, point_node
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
-from rve import cell_of_sides
-from rve import solidity as solidity_of
 from rve.common import Array
+from rve.finite import cell_of_sides
+from rve.wire import solidity as solidity_of
 
 PER_MM2 = 1e-6
 """m2 per mm2: kg/m2 times m/s2 is N/m2."""

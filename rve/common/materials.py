@@ -12,8 +12,8 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
+from rve.common.cell_fields import STEEL_KG_PER_MM3, Density, DensityPerM3
 from rve.common.errors import InputError, shown
-from rve.common.rings import STEEL_KG_PER_MM3, Density, DensityPerM3
 from rve.common.typed import Typed, did_you_mean, read_entry, refuse_unknown, types_of
 
 Young = Annotated[float, Meta(ge=500.0, le=2e6, title="N/mm2")]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rve.common import Array, Rows
-from rve.common.rings import gyration_radius
+from rve.common.cell_fields import gyration_radius
 from rve.geometry.contacts import CellContacts, distance_gradient, distance_hessian, find_contacts
 from rve.geometry.pose import Pose, moved, pair_maps, place_maps, reduction, turns_of
 from rve.geometry.weave import Weave

@@ -1,1 +1,6 @@
-"""Finite pieces of ring mesh, every ring a rigid body: layout, contacts of near pairs, equilibrium under dead loads."""
+"""Finite meshes: every ring of a piece of mesh in equilibrium, and in steps of time."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""The names for other packages, listed in `__init__.pyi`: their modules are imported when they are first used."""

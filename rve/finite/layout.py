@@ -8,33 +8,27 @@ membrane.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import shapely
 
-from rve.common import Array, Flags, Index, InputError, checked, shown
+from rve.common import Array, Index, InputError, checked
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.pose import start_pose
 from rve.geometry.weave import WEAVES
+from rve.placed.fit import axes_of_weave, neighbours, reference_shares
 from rve.solve import reference_sides
-from rve.strained.placed import axes_of_weave, neighbours, reference_shares
-
-if TYPE_CHECKING:
-    from rve.finite.solution import FiniteSolution
-    from rve.finite.task import FiniteOptions
-    from rve.finite.walls import HalfSpace
 
 MOST_RINGS = 1_000_000
 _SAMPLES = 8
 
 
 @dataclass(frozen=True, eq=False)
-class FiniteMesh:
+class RingLayout:
     """Rings of a finite piece of mesh in the reference state.
 
     X (n, 2): centres in mm; index (n, 3): class and lattice point i, j; area (n,): reference area in mm2 that each ring
@@ -42,8 +36,8 @@ class FiniteMesh:
     of the weave; hang_deg: angle from the vertical to the weave's y axis; bars: rings (k,) in order that stay on a
     line, between the first and the last in proportion to the reference.
 
-    >>> mesh = FiniteMesh.rectangle(Cell(), 2, 1)
-    >>> len(mesh.X), len(mesh.linked), bool(np.isclose(mesh.area.sum(), np.ptp(mesh.X, axis=0).prod()))
+    >>> layout = RingLayout.rectangle(Cell(), 2, 1)
+    >>> len(layout.X), len(layout.linked), bool(np.isclose(layout.area.sum(), np.ptp(layout.X, axis=0).prod()))
     (8, 8, True)
     """
 
@@ -58,7 +52,7 @@ class FiniteMesh:
 
     @classmethod
     @checked
-    def rectangle(cls, cell: Cell, columns: int, rows: int) -> FiniteMesh:
+    def rectangle(cls, cell: Cell, columns: int, rows: int) -> Self:
         """A rectangle of `columns` by `rows` reference cells, its lower left corner at the origin."""
         if columns < 1 or rows < 1:
             raise InputError(f"{columns} x {rows} cells: a rectangle has one cell or more along each side")
@@ -73,7 +67,7 @@ class FiniteMesh:
         outline: Sequence[tuple[float, float]] | Array,
         holes: Sequence[Sequence[tuple[float, float]] | Array] = (),
         hang_deg: float = 0.0,
-    ) -> FiniteMesh:
+    ) -> Self:
         """The rings whose reference centres lie inside a polygon, in mm, or on it, and not inside a hole.
 
         The lattice has a point of class 0 on the first corner of the outline if its sides are whole cells, and in the
@@ -81,21 +75,21 @@ class FiniteMesh:
         a ring without a link.
         """
         border = np.asarray(outline, dtype=float)
-        gaps = [np.asarray(hole, dtype=float) for hole in holes]
-        for polygon in (border, *gaps):
+        inner = [np.asarray(hole, dtype=float) for hole in holes]
+        for polygon in (border, *inner):
             if polygon.ndim != 2 or polygon.shape[1] != 2 or len(polygon) < 3 or not np.isfinite(polygon).all():
                 raise InputError("an outline or a hole is not a list of three or more points [x, y]")
         sides = cell.r1 * np.array(weave_sides(cell, reference_sides(cell, DirectOptions())))
         axes = axes_of_weave(cell, hang_deg)
-        region = shapely.Polygon(border, gaps)
+        region = shapely.Polygon(border, inner)
         index, X = _sites(cell, border, region, sides, axes)
         if len(index) < 2:
             raise InputError(f"the outline holds {len(index)} rings; a mesh has two or more")
-        pairs = [np.column_stack(two) for pair, *two in neighbours(cell.weave, index) if cell.weave.linked[pair]]
+        pairs = [np.column_stack(ends) for pair, *ends in neighbours(cell.weave, index) if cell.weave.linked[pair]]
         linked = np.unique(np.sort(np.concatenate(pairs), axis=1), axis=0)
-        alone = len(np.setdiff1d(np.arange(len(index)), linked))
-        if alone:
-            raise InputError(f"{alone} of {len(index)} rings inside the outline link no other; enlarge or smooth it")
+        loose = len(np.setdiff1d(np.arange(len(index)), linked))
+        if loose:
+            raise InputError(f"{loose} of {len(index)} rings inside the outline link no other; enlarge or smooth it")
         area = _areas(X, region, sides / (1, cell.weave.classes), axes)
         return cls(cell, X, index, area, linked, (float(sides[0]), float(sides[1])), hang_deg)
 
@@ -113,55 +107,6 @@ class FiniteMesh:
         normal = pose.normals[0, self.index[:, 0]]
         zero = np.zeros(len(flat))
         return np.column_stack([flat, zero]), np.column_stack([normal[:, :2] @ axes.T, normal[:, 2]])
-
-    def solve(
-        self,
-        force: Array,
-        held: Flags,
-        at: Array,
-        *,
-        space: bool = True,
-        walls: Sequence[HalfSpace] = (),
-        guide: Array | None = None,
-        options: FiniteOptions | None = None,
-    ) -> FiniteSolution:
-        """The rings under dead forces (n, 3) in N, coordinates `held` (n, 3) kept at the places `at` (n, 3) in mm.
-
-        In space, or with all centres in the plane z = 0. Every ring stays out of `walls` with its whole wire. Starts
-        from the slack weave; held rings and half-spaces that cut it travel to their places. guide (n, 3): places in mm
-        that pull at the centres in the beginning and no more at the end, nan where none does. A local minimum of the
-        potential is found, which need not be the lowest; guide and disturbance have a part in which. Where supports or
-        half-spaces are not reached they move in smaller parts, and in space what does not converge begins again with
-        another disturbance. An answer that has not converged is returned with its status. InputError for other shapes,
-        no load, and pieces that nothing holds.
-
-        >>> mesh = FiniteMesh.rectangle(Cell(), 1, 1)
-        >>> force, at = np.zeros((5, 3)), np.column_stack([mesh.X, np.zeros(5)])
-        >>> force[:, 1] = -9.81 * mesh.mass
-        >>> mesh.solve(force, at[:, [1, 1, 1]] > 12.0, at, space=False).status
-        'converged'
-        """
-        from rve.finite.problem import Problem
-        from rve.finite.solution import as_solution
-        from rve.finite.solver import solve_rings
-        from rve.finite.task import FiniteOptions
-
-        began, force, at = time.perf_counter(), np.asarray(force, dtype=float), np.asarray(at, dtype=float)
-        near = np.full(force.shape, np.nan) if guide is None else np.asarray(guide, dtype=float)
-        options = FiniteOptions() if options is None else options
-        if not isinstance(options, FiniteOptions):
-            raise InputError(f"options = {shown(options)}: expected FiniteOptions")
-        problem = Problem(self, force, np.asarray(held, dtype=bool), at, space, tuple(walls), near)
-        problem.check()
-        task, starts = problem.task(), options.starts if space and options.disturbance else 1
-        tried: list[FiniteSolution] = []
-        for seed in range(options.seed, options.seed + max(1, starts)):
-            start = problem.start(replace(options, seed=seed))
-            tried.append(as_solution(problem, task, solve_rings(task, start, options)))
-            if tried[-1].status in ("converged", "out-of-reach"):
-                break
-        found, history = min(tried, key=lambda one: one.kkt_residual), sum((one.history for one in tried), ())
-        return replace(found, history=history, wall_s=time.perf_counter() - began)
 
 
 @checked
@@ -211,6 +156,6 @@ def _areas(X: Array, region: shapely.Polygon, brick: Array, axes: Array) -> Arra
     """Reference area (n,) in mm2 of each ring; their sum is the area inside the outline."""
     t = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
     offsets = np.stack(np.meshgrid(t, t), axis=-1).reshape(-1, 2) * brick @ axes.T
-    part = sum(shapely.contains_xy(region, X + offset) / len(offsets) for offset in offsets)
-    part = np.maximum(part, 1.0 / len(offsets))
-    return np.asarray(part * region.area / part.sum())
+    share = sum(shapely.contains_xy(region, X + offset) / len(offsets) for offset in offsets)
+    share = np.maximum(share, 1.0 / len(offsets))
+    return np.asarray(share * region.area / share.sum())

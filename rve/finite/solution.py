@@ -11,16 +11,43 @@ from numpy.typing import NDArray
 
 from rve.common import Array, digits
 from rve.common.optional import Axes, Plotter
-from rve.drawn import DrawnRings
-from rve.finite.equations import gradients, spread
-from rve.finite.layout import FiniteMesh
-from rve.finite.problem import Problem
-from rve.finite.task import SENTENCES, Found, Record, Task
-from rve.finite.touching import links_intact
-from rve.finite.walls import Obstacle, RoundBody
+from rve.finite.contacts import MeshContacts, links_intact
+from rve.finite.layout import RingLayout
+from rve.finite.newton import gradients, spread
+from rve.finite.problem import Obstacle, Problem, RoundBody, ScaledProblem
+from rve.plots import DrawnRings
 
 _SEEN = 1e-3
 """Forces of supports below this part of the largest one are not drawn."""
+SENTENCES = {
+    "converged": "a local minimum of the potential: forces balance, gaps and links are within tolerance",
+    "out-of-reach": "held rings or walls did not reach their places: the mesh locks before; move them closer together",
+    "stalled": "no step lowers the residual further; start from another disturbance, or allow a larger residual",
+    "iterations": "the limit of iterations was reached: allow more, and hold what slides on a floor without friction",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class IterationRecord:
+    """One iteration: the accepted fraction of its step, numbers of trial steps and of factors."""
+
+    length: float
+    trials: int
+    factors: int
+
+
+@dataclass(frozen=True, eq=False)
+class SolverResult:
+    """End of a path without units: contacts, which have the pose, their forces (m,), status, residual.
+
+    Without convergence it is the iterate of least residual.
+    """
+
+    contacts: MeshContacts
+    force: Array
+    status: str
+    residual: float
+    history: tuple[IterationRecord, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +77,7 @@ class FiniteSolution:
     supports or half-spaces are out of reach there is no equilibrium: forces are nan and kkt_residual is inf.
     """
 
-    mesh: FiniteMesh
+    mesh: RingLayout
     centre: Array
     normal: Array
     load: Array
@@ -62,7 +89,7 @@ class FiniteSolution:
     is_space: bool
     way_left_mm: float
     kkt_residual: float
-    history: tuple[Record, ...]
+    history: tuple[IterationRecord, ...]
     wall_s: float = 0.0
 
     @property
@@ -172,41 +199,41 @@ class FiniteSolution:
         return ax
 
 
-def as_solution(problem: Problem, task: Task, found: Found) -> FiniteSolution:
-    """What a solver has found, with its units."""
-    mesh, con, unit = problem.mesh, found.touching, task.unit
+def as_solution(problem: Problem, scaled: ScaledProblem, result: SolverResult) -> FiniteSolution:
+    """The result of the solver in units."""
+    mesh, con, unit = problem.mesh, result.contacts, scaled.unit
     r1, n, pair, ring = mesh.cell.r1, len(mesh.X), con.minima.pair, ~con.at_wall
     lowest = r1 * float(con.deepest.min(initial=np.inf))
-    pushes = spread(con, gradients(con), found.force)[:, :3]
-    total = pushes + task.force + task.springs(con.placed, 0.0)[1][:, :3]
-    reaction = np.where(task.held, -unit * total, 0.0)
+    pushes = spread(con, gradients(con), result.force)[:, :3]
+    total = pushes + scaled.force + scaled.springs(con.pose, 0.0)[1][:, :3]
+    reaction = np.where(scaled.held, -unit * total, 0.0)
     if not problem.is_space:  # the plane, not a support, keeps the rings in it
         reaction[:n, 2] = 0.0
-    residual = max(found.residual, -lowest / r1)
-    if found.status == "out-of-reach":
+    residual = max(result.residual, -lowest / r1)
+    if result.status == "out-of-reach":
         unit, residual, reaction = np.nan, np.inf, np.full_like(reaction, np.nan)
     return FiniteSolution(
         mesh=mesh,
-        centre=r1 * con.placed.x[:n],
-        normal=con.placed.normal[:n],
+        centre=r1 * con.pose.x[:n],
+        normal=con.pose.normal[:n],
         load=problem.force,
         reaction=reaction[:n],
         contacts=RingContacts(
             np.column_stack([con.a[pair], con.b[pair]])[ring],
             con.minima.normal[ring],
-            unit * found.force[ring],
+            unit * result.force[ring],
             r1 * con.gap[ring],
             lowest,
-            links_intact(con, task.keys),
+            links_intact(con, scaled.keys),
         ),
         walls=tuple(
             wall.moved(r1 * place) if isinstance(wall, RoundBody) else wall
-            for wall, place in zip(problem.walls, con.placed.x[n:], strict=True)
+            for wall, place in zip(problem.walls, con.pose.x[n:], strict=True)
         ),
         wall_force=-unit * pushes[n:],
-        status=found.status,
+        status=result.status,
         is_space=problem.is_space,
-        way_left_mm=r1 * float(np.linalg.norm(task.way_left(con.placed), axis=1).max()),
+        way_left_mm=r1 * float(np.linalg.norm(scaled.way_left(con.pose), axis=1).max()),
         kkt_residual=residual,
-        history=found.history,
+        history=result.history,
     )

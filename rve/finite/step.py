@@ -2,10 +2,10 @@
 
     minimise  |y - y_hat|^2_W / 2 - f.y   subject to gap >= 0
 
-A ring that does not spin about its axis moves like two points of its mass: its centre, and one on its axis whose
-distance from the centre is the radius of gyration about a diameter. So places y (2 n + b, 3) are those of the centres,
-then of these points, less the centres, then of the centres of b balls, and any difference in time serves for all.
-Iterations are those of `solver`: no gap is closed, no wire passes through another, and links stay as they are.
+A ring that does not spin about its axis moves like two points of its mass: its centre, and a point on its axis at the
+radius of gyration about a diameter. So places y (2 n + b, 3) are the centres, then the vectors from the centres to
+these points, then the centres of b balls, and differences in time are the same for all. Iterations are those of
+`solve`: no gap closes, no wire passes through another, and links stay intact.
 """
 
 from collections.abc import Sequence
@@ -13,37 +13,32 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rve.common import Array, Flags
-from rve.common.rings import gyration_radius
-from rve.finite.equations import gradients, spread
-from rve.finite.layout import FiniteMesh
-from rve.finite.problem import Problem
-from rve.finite.solution import FiniteSolution, as_solution
-from rve.finite.solver import solve_near
-from rve.finite.task import FiniteOptions, Found, RingInertia, Task
-from rve.finite.touching import Touching, find_touching, nearest, of_pairs
-from rve.finite.walls import HalfSpace, Obstacle, RoundBody
+from rve.common import Array, Flags, Index
+from rve.common.cell_fields import gyration_radius
+from rve.finite.contacts import MeshContacts, find_mesh_contacts, find_rows, nearest_contacts
+from rve.finite.layout import RingLayout
+from rve.finite.newton import gradients, spread
+from rve.finite.problem import FiniteOptions, HalfSpace, Obstacle, Problem, RingInertia, RoundBody, ScaledProblem
+from rve.finite.solution import FiniteSolution, SolverResult, as_solution
+from rve.finite.solve import solve_near
 from rve.geometry.ring_pair import cross, rotation
 
 STEP = tuple(
     FiniteOptions(tolerance=1e-10, retries=0, max_iterations=100, first=first, last=last)
     for first, last in ((1e-8, 1e-8), (1e-5, 1e-9), (1e-4, 1e-10), (1e-4, 1e-8))
 )
-"""Options of a step, tried in this order. Most steps need no path of mu. Where many contacts open and close, the way at
-a small mu is in short parts, and at a larger one minima of distances split and merge without end: a minimum about to
-split has one force or two beside each other, and there may be no equilibrium with either. The curvature below which
-this is so falls with the root of the gap, so few are left at the end of a path, and others at another end."""
-_STILL = 1e-9
-"""Residuals of a step without any force are measured by the force that moves all rings by this part of r1."""
+"""Options of a step, tried in this order. Most steps need no path of mu. Where many contacts open and close, steps at
+a small mu are short, and at a larger one minima of distances may split and merge without end. The curvature below which
+that happens falls with the root of the gap, so few such minima are left at the end of a path, and others at another."""
 
 
 @dataclass(frozen=True, eq=False)
 class RingStep:
     """The end of a time step.
 
-    rings: places, contacts, forces of supports and walls, status. pushes (2 n + b, 3): forces in N of contacts on
-    `ring_places`, and of the axes, which keep their length. touched: forces of contacts times how far they have closed,
-    N mm.
+    rings: places, contacts, forces of supports and walls, status. pushes (2 n + b, 3): forces in N on `ring_places`, of
+    contacts and of the constraint that axes keep their length. touched: sum of contact forces times the closing of
+    their gaps, N mm.
     """
 
     rings: FiniteSolution
@@ -52,14 +47,13 @@ class RingStep:
 
 
 def ring_places(rings: FiniteSolution) -> Array:
-    """Places (2 n + b, 3) in mm: the centres, points on the axes one radius of gyration from them, less these, and the
-    centres of balls."""
+    """Places (2 n + b, 3) in mm: centres, vectors of one radius of gyration along the axes, centres of balls."""
     balls = np.array([wall.place for wall in rings.walls if isinstance(wall, RoundBody)]).reshape(-1, 3)
     cell = rings.mesh.cell
     return np.concatenate([rings.centre, gyration_radius(cell.r1, cell.r2) * rings.normal, balls])
 
 
-def slack_rings(mesh: FiniteMesh, *, space: bool = True, walls: Sequence[HalfSpace] = ()) -> FiniteSolution:
+def slack_rings(mesh: RingLayout, *, space: bool = True, walls: Sequence[HalfSpace] = ()) -> FiniteSolution:
     """The slack weave at rest, without forces, its centres in the plane z = 0 about those of the reference."""
     none = np.zeros((len(mesh.X), 3))
     problem = Problem(mesh, none, none > 0.0, none, space, tuple(walls))
@@ -69,7 +63,7 @@ def slack_rings(mesh: FiniteMesh, *, space: bool = True, walls: Sequence[HalfSpa
 
 
 def with_bodies(rings: FiniteSolution, bodies: Sequence[RoundBody]) -> FiniteSolution:
-    """The rings beside balls that do not push them; a ball that cuts a ring makes `contacts.min_gap_mm` negative."""
+    """The rings with balls that exert no force; a ball that cuts a ring makes `contacts.min_gap_mm` negative."""
     none = np.zeros((len(bodies), 3))
     walls, wall_force = (*rings.walls, *bodies), np.concatenate([rings.wall_force, none])
     problem = Problem(rings.mesh, rings.load, rings.load > 0.0, rings.centre, rings.is_space, walls)
@@ -80,10 +74,9 @@ def with_bodies(rings: FiniteSolution, bodies: Sequence[RoundBody]) -> FiniteSol
 
 def _without_forces(problem: Problem, centre: Array, normal: Array) -> FiniteSolution:
     """Rings at rest with these centres (n, 3) in mm and normals (n, 3), without forces."""
-    task = problem.task(1.0)
-    touching = task.find(problem.placed(centre, normal), FiniteOptions.reach)
-    found = Found(touching, np.zeros(len(touching.gap)), "converged", 0.0, ())
-    return as_solution(problem, task, found)
+    scaled = problem.scaled(1.0)
+    contacts = scaled.find(problem.pose(centre, normal), FiniteOptions.reach)
+    return as_solution(problem, scaled, SolverResult(contacts, np.zeros(len(contacts.gap)), "converged", 0.0, ()))
 
 
 def step_rings(
@@ -98,48 +91,56 @@ def step_rings(
 ) -> RingStep:
     """The rings after a time step from `start`, under forces (n, 3) in N, coordinates held as in `FiniteMesh.solve`.
 
-    weight (2 n + b,): W of what `ring_places` are the places of, mass over the square of the step for Euler's method,
-    N/mm; aim (2 n + b, 3): y_hat, where these would be without forces, mm. Nothing need hold the mesh. walls: as many
-    as at the start, half-spaces where they are at the end, balls from where they are at the start. A step that has not
-    converged has its status.
+    weight (2 n + b,): W of `ring_places`, for Euler's method mass over the square of the step, N/mm; aim (2 n + b, 3):
+    y_hat, the places without forces, mm. Nothing need hold the mesh. walls: as many as at the start, half-spaces where
+    they are at the end, balls where they are at the start. A step that has not converged has its status.
     """
     problem = Problem(start.mesh, force, held, at, start.is_space, tuple(walls))
-    mesh, r1, n = start.mesh, start.mesh.cell.r1, len(start.centre)
-    inert = weight[:, None] * np.abs(aim - ring_places(start))
-    load = float(np.abs(problem.force).sum() + np.abs([wall.load for wall in problem.walls]).sum() + inert.sum())
-    load = max(load, _STILL * r1 * float(weight.sum()))
-    task = problem.task(load)
-    # Of short steps places to round-off leave more than the tolerance.
-    least = np.finfo(float).eps * float(weight @ np.abs(aim).max(axis=1)) / load
-    # Points beside soft minima would come and go from step to step, and inertia holds what they are for.
-    radius, none = gyration_radius(r1, mesh.cell.r2), np.zeros((len(problem.walls), 3))
-    loose = n + np.flatnonzero([isinstance(wall, RoundBody) for wall in problem.walls])
-    place, normal = (np.concatenate([part, none]) for part in (aim[:n] / r1, aim[n : 2 * n] / radius))
-    heavy, turning = (np.append(part, none[:, 0]) for part in (weight[:n], weight[n : 2 * n]))
-    heavy[loose], place[loose] = weight[2 * n :], aim[2 * n :] / r1
-    inertia = RingInertia(heavy * r1 / task.unit, place, turning * radius**2 / (task.unit * r1), normal)
-    task = replace(task, inertia=inertia, beside=False)
-    placed = replace(problem, walls=start.walls).placed(start.centre, start.normal)
-    touching = find_touching(placed, task.linked, task.wire, FiniteOptions.reach)
+    n, radius = len(start.centre), gyration_radius(start.mesh.cell.r1, start.mesh.cell.r2)
+    scaled, least = _with_inertia(problem, weight, aim, ring_places(start))
+    pose = replace(problem, walls=start.walls).pose(start.centre, start.normal)
+    contacts = find_mesh_contacts(pose, scaled.linked, scaled.wire, FiniteOptions.reach)
     for options in STEP:
-        tuned = replace(options, tolerance=max(options.tolerance, least))
-        found = solve_near(task, touching, _forces(start, task, touching, options.first), tuned)
-        if found.status == "converged":
+        options = replace(options, tolerance=max(options.tolerance, least))
+        result = solve_near(scaled, contacts, _forces(start, scaled, contacts, options.first), options)
+        if result.status == "converged":
             break
-    rings, con = as_solution(problem, task, found), found.touching
-    own = nearest(con, touching)
-    closed = np.maximum(np.where(own >= 0, touching.gap[own], FiniteOptions.reach) - con.gap, 0.0)
-    pushes = task.unit * spread(con, gradients(con), found.force)
-    torque = r1 * rotation(rings.normal, pushes[:n, 3:])
-    drawn = weight[n : 2 * n] * (rings.normal * (radius * rings.normal - aim[n : 2 * n])).sum(axis=1)
-    axes = cross(torque, rings.normal) / radius + drawn[:, None] * rings.normal
-    every = np.concatenate([pushes[:n, :3], axes, pushes[loose, :3]])
-    return RingStep(rings, every, task.unit * r1 * float(found.force @ closed))
+    rings, con = as_solution(problem, scaled, result), result.contacts
+    row = nearest_contacts(con, contacts)
+    closing = np.maximum(np.where(row >= 0, contacts.gap[row], FiniteOptions.reach) - con.gap, 0.0)
+    pushes = scaled.unit * spread(con, gradients(con), result.force)
+    torque = start.mesh.cell.r1 * rotation(rings.normal, pushes[:n, 3:])
+    tension = weight[n : 2 * n] * (rings.normal * (radius * rings.normal - aim[n : 2 * n])).sum(axis=1)
+    axes = cross(torque, rings.normal) / radius + tension[:, None] * rings.normal
+    pushes = np.concatenate([pushes[:n, :3], axes, pushes[_balls(problem), :3]])
+    return RingStep(rings, pushes, scaled.unit * start.mesh.cell.r1 * float(result.force @ closing))
 
 
-def _forces(start: FiniteSolution, task: Task, touching: Touching, mu: float) -> Array:
-    """Forces (m,) of contacts at the start, without units: those of each pair shared out as on the central path."""
+def _balls(problem: Problem) -> Index:
+    """Rows of the balls in the poses of a problem."""
+    return len(problem.force) + np.flatnonzero([isinstance(wall, RoundBody) for wall in problem.walls])
+
+
+def _with_inertia(problem: Problem, weight: Array, aim: Array, places: Array) -> tuple[ScaledProblem, float]:
+    """The problem without units with the inertia of rings at `places`, and the residual of places to round-off."""
+    mesh, r1, n = problem.mesh, problem.mesh.cell.r1, len(problem.force)
+    inert = weight[:, None] * np.abs(aim - places)
+    load = float(np.abs(problem.force).sum() + np.abs([wall.load for wall in problem.walls]).sum() + inert.sum())
+    load = max(load, 1e-9 * r1 * float(weight.sum()))  # without any force: that of a tiny move of all rings
+    scaled, radius, none = problem.scaled(load), gyration_radius(r1, mesh.cell.r2), np.zeros((len(problem.walls), 3))
+    place, normal = (np.concatenate([part, none]) for part in (aim[:n] / r1, aim[n : 2 * n] / radius))
+    mass, rotary = (np.append(part, none[:, 0]) for part in (weight[:n], weight[n : 2 * n]))
+    balls = _balls(problem)
+    mass[balls], place[balls] = weight[2 * n :], aim[2 * n :] / r1
+    inertia = RingInertia(mass * r1 / scaled.unit, place, rotary * radius**2 / (scaled.unit * r1), normal)
+    # Guard points would come and go from step to step; with inertia the matrix needs none.
+    least = np.finfo(float).eps * float(weight @ np.abs(aim).max(axis=1)) / load
+    return replace(scaled, inertia=inertia, guard_points=False), least
+
+
+def _forces(start: FiniteSolution, scaled: ScaledProblem, contacts: MeshContacts, mu: float) -> Array:
+    """Forces (m,) of contacts at the start, without units: of each pair in the proportions of the central path."""
     pairs, force = start.contacts.pairs, start.contacts.force
-    row = of_pairs(touching.key, pairs[:, 0] * len(touching.placed.x) + pairs[:, 1])
-    total = np.bincount(row[row >= 0], force[row >= 0] / task.unit, minlength=len(touching.key))
-    return touching.shared(np.asarray(total, float), mu)
+    row = find_rows(contacts.key, pairs[:, 0] * len(contacts.pose.x) + pairs[:, 1])
+    total = np.bincount(row[row >= 0], force[row >= 0] / scaled.unit, minlength=len(contacts.key))
+    return contacts.share_forces(np.asarray(total, float), mu)

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from rve.common import Typed, shown
+from rve.common.cell_fields import Density, Length, ring_volume
 from rve.common.materials import STEEL, Material, named_material
-from rve.common.rings import Density, Length, ring_volume
 from rve.geometry.weave import FOUR_IN_ONE, Weave, named_weave, supercell
 
 CellCount = Annotated[int, Meta(ge=1, le=4)]

@@ -17,7 +17,7 @@ from macro_fem.motion.rings import MovingRings
 from macro_fem.rings.ring_scene import ring_scene
 from rve import Cell, FiniteMesh, pulled_ring
 from rve.common.materials import STEEL
-from rve.ring.section import Ring
+from rve.wire import Ring
 
 
 def test_brute_force_knows_two_circles():

@@ -5,8 +5,8 @@ import pytest
 
 from benchmarks import extremes as ex
 from homogenize import default_law
-from rve.common.errors import SENTENCES, InputError
-from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE
+from rve.common import SENTENCES, InputError
+from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE
 
 LAW = default_law()
 

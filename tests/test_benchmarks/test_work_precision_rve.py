@@ -5,8 +5,7 @@ import pytest
 
 from benchmarks.work_precision.generic import Programme, slsqp
 from benchmarks.work_precision.rve import ERROR, extrapolated, problem, runs
-from rve.geometry.kinematics import second_pk
-from rve.geometry.pose import deformation
+from rve.geometry import deformation, second_pk
 
 LOADS = ((0.0, 45.0), (20.0, 30.0))
 

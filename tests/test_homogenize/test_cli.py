@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from homogenize.cli import main
 from homogenize.io import DEFAULT_LAW, default_law, load_law
 from homogenize.query.answers import support_answer
-from rve.common.errors import InputError
+from rve.common import InputError
 
 TABLE = Path(__file__).parent / "data" / "table190.csv"
 

@@ -8,7 +8,7 @@ import pytest
 from homogenize import ClothLaw, load_law
 from macro_fem.job import solve
 from macro_fem.scene.scene import read_scene
-from rve.common.errors import InputError
+from rve.common import InputError
 from rve.common.tensor import double_dot, trace
 
 LAW = ClothLaw()

@@ -11,7 +11,7 @@ from homogenize.fitting.report import random_loads
 from homogenize.interval import interval_or_law, law_interval, read_law_interval
 from homogenize.io import DEFAULT_LAW
 from homogenize.laws.net import diagonal_net
-from rve.common.errors import InputError
+from rve.common import InputError
 from rve.common.tensor import double_dot
 
 

@@ -10,7 +10,7 @@ from homogenize.fitting.bounds import bounds_of, inner_law, outer_law
 from homogenize.fitting.refine import refined_half_spaces
 from homogenize.fitting.report import random_loads
 from homogenize.laws.polyhedral import polyhedral_law
-from rve.common.errors import InputError
+from rve.common import InputError
 from rve.common.tensor import WEIGHT, double_dot, eigenvalues, from_disc, trace
 
 from .conftest import derivative_errors, disc_grid, rows_of

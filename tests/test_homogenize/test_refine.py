@@ -14,7 +14,7 @@ from homogenize.laws.polyhedral import polyhedral_law
 from homogenize.query.strain import locked_strain
 from rve.common.tensor import disc, double_dot, from_disc
 from rve.directions import graded_grid
-from rve.geometry.cell import Cell
+from rve.geometry import Cell
 from rve.solve import solve_table
 from rve.table import read_table
 

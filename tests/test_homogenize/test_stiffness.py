@@ -7,7 +7,7 @@ import pytest
 
 from homogenize.fitting.fit import fit
 from homogenize.laws.giving import constant_compliance, work_along
-from rve.common.errors import InputError
+from rve.common import InputError
 from rve.common.tensor import WEIGHT
 
 from .conftest import disc_grid, table_of

@@ -10,7 +10,7 @@ from homogenize import ClothLaw, default_law, fit_table, load_law, ring_net
 from homogenize.io import DEFAULT_LAW
 from homogenize.laws.net import ring_cell
 from homogenize.query.answers import strain_answer
-from rve.common.errors import InputError
+from rve.common import InputError
 
 TABLE = Path(__file__).parent / "data" / "table190.csv"
 

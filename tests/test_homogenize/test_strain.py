@@ -14,12 +14,11 @@ from homogenize.laws.net import diagonal_net, ring_cell, ring_net
 from homogenize.laws.polyhedral import polyhedral_law
 from homogenize.query.strain import locked_strain
 from homogenize.query.strain_bounds import strain_bounds
-from rve.common.errors import InputError
+from rve.common import InputError
 from rve.common.tensor import double_dot, dyad, from_disc, trace
 from rve.directions import product
 from rve.equilibrium.interior_point import DirectOptions
-from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, second_pk
+from rve.geometry import Cell, cauchy_line_load, deformation_gradient, second_pk
 from rve.solve import solve_table
 from rve.table import read_table
 

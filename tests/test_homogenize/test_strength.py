@@ -14,7 +14,7 @@ from homogenize.fitting.fit import FitOptions, fit
 from homogenize.laws.giving import work_along
 from homogenize.strength import Strength, off_grid, read_strength, strength_of_table, tensile_part
 from rve import Material
-from rve.common.errors import InputError
+from rve.common import InputError
 from rve.common.tensor import WEIGHT, double_dot, mirror, trace
 
 from .conftest import Ellipsoid, disc_grid, table_of

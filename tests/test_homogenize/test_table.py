@@ -16,7 +16,7 @@ from homogenize.fitting.report import random_loads
 from homogenize.fitting.rows import rows_from_table
 from homogenize.io import DEFAULT_LAW, default_law
 from homogenize.query.strain import locked_strain
-from rve.common.errors import InputError
+from rve.common import InputError
 from rve.common.tensor import double_dot, eigenvalues, trace
 from rve.table import read_table
 

@@ -11,7 +11,7 @@ from homogenize.fitting.bounds import outer_law
 from homogenize.fitting.refine import refined_half_spaces
 from homogenize.laws.net import diagonal_net
 from homogenize.laws.polyhedral import polyhedral_law
-from rve.common.errors import InputError
+from rve.common import InputError
 
 from .conftest import disc_grid, rows_of
 

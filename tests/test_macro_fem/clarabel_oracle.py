@@ -25,8 +25,7 @@ from macro_fem.solvers.cones import Cones, all_cuts, first_cones, green_strain, 
 from macro_fem.solvers.path import PathResult
 from macro_fem.solvers.status import FREE, Evidence, Reach, load_scale
 from macro_fem.solvers.walls import WallRows, Walls
-from rve.common import Array
-from rve.common.progress import tell
+from rve.common import Array, tell
 
 FLAT = 1e-12
 """Eigenvalues of S below this (S has unit trace) count as zero: the half-space of a single direction."""

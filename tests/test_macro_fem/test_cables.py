@@ -9,7 +9,7 @@ from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import read_scene
 from macro_fem.scene.supports import build_supports
-from rve.common.errors import InputError
+from rve.common import InputError
 from tests.test_macro_fem.sheets import solve_scene
 
 TURN = Rotation.from_euler("zxy", [-50.0, 25.0, 70.0], degrees=True).as_matrix()

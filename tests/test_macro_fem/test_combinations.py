@@ -14,7 +14,7 @@ from macro_fem.curtain import solve_problem
 from macro_fem.fem.cells import counterclockwise
 from macro_fem.output.files import summarize
 from macro_fem.scene.scene import read_scene
-from rve.common.errors import InputError
+from rve.common import InputError
 from tests.test_macro_fem.sheets import posed
 
 LEFT, RIGHT = [[0.0, 0.0, 5.0], [10.0, 79.0, 0.0]], [[100.0, 0.0, -5.0], [90.0, 79.0, 0.0]]

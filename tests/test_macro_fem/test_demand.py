@@ -26,8 +26,7 @@ from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.cones import least_slack
 from rve import WEAVES, Cell
-from rve.common import NO_CACHE, Cache
-from rve.common.errors import InputError, NotConverged
+from rve.common import NO_CACHE, Cache, InputError, NotConverged
 from rve.common.tensor import WEIGHT, disc, from_disc
 
 KNOWN = read_law_interval()

@@ -14,7 +14,7 @@ from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.edges import named_edges
 from macro_fem.scene.meshing.mesh import build_mesh, mesh_outline, refine
 from macro_fem.scene.scene import read_scene
-from rve.common.errors import InputError
+from rve.common import InputError
 from tests.test_macro_fem.sheets import solve_scene
 
 RISE = np.linspace(100.0, 0.0, 24)  # an even number: the arch has a flat facet at its apex

@@ -14,18 +14,20 @@ from macro_fem.cli import main
 from macro_fem.output.files import rings
 from macro_fem.rings.curtain import Curtain, Told, curtain_of
 from macro_fem.rings.localize import find_sites, localize, place_rings, turns
-from rve.common import InputError
-from rve.common.files import checksum
-from rve.drawn import ALONG, AROUND, DrawnRings
+from rve.common import InputError, checksum
 from rve.equilibrium.interior_point import DirectOptions
-from rve.geometry.cell import Cell
-from rve.geometry.contacts import find_contacts
-from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, lattice_strain, second_pk
-from rve.geometry.weave import SIX_IN_ONE
+from rve.geometry import (
+    SIX_IN_ONE,
+    Cell,
+    cauchy_line_load,
+    deformation_gradient,
+    find_contacts,
+    lattice_strain,
+    second_pk,
+)
+from rve.placed import axes_of_weave, cell_forces, fit_rings, largest_forces, locked_arrangements, nearest_poses, shares
+from rve.plots import ALONG, AROUND, DrawnRings
 from rve.solve import locked_block
-from rve.strained.forces import cell_forces, largest_forces
-from rve.strained.placed import axes_of_weave, fit_rings, shares
-from rve.strained.poses import locked_arrangements, nearest_poses
 
 CELL = Cell()
 WEIGHTS = np.array([1.0, 2.0, 1.0])

@@ -9,7 +9,7 @@ from scipy.special import jn_zeros
 from homogenize import default_law
 from macro_fem.motion.modes import find_modes
 from macro_fem.scene.scene import read_scene
-from rve.common.errors import InputError
+from rve.common import InputError
 from tests.test_macro_fem.sheets import solve_scene
 
 G, LENGTH = 9810.0, 1000.0

@@ -19,7 +19,7 @@ from macro_fem.report import _loads, _sections, write_report
 from macro_fem.size import Range, find_size, search
 from macro_fem.trials import Sought, answer_of
 from rve import Cell, grid, solve_table, with_rings
-from rve.common.errors import InputError
+from rve.common import InputError
 from tests.commands import run
 
 HOOKS = """

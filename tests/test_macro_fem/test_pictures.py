@@ -11,8 +11,8 @@ from macro_fem.output.forces import pulls, winds
 from macro_fem.output.images import compose, in_turn, parts
 from macro_fem.output.pictures import STATES, panels
 from macro_fem.output.space_view import views
+from rve.common import InputError
 from rve.common.drawing.space import new_plotter
-from rve.common.errors import InputError
 from tests.commands import run
 from tests.films import film_of
 from tests.test_macro_fem.sheets import sheet

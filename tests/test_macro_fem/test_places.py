@@ -25,7 +25,7 @@ from macro_fem.scene.loads import disk_areas
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.meshing.nodes import LEAST_SINE
 from macro_fem.scene.scene import read_scene
-from rve.common.errors import InputError
+from rve.common import InputError
 from tests.test_macro_fem.sheets import least_angle, solve_scene
 
 LAW = diagonal_net(1.1)

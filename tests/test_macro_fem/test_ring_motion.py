@@ -19,7 +19,7 @@ from macro_fem.output.images import parts
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.scene.scene import read_scene
 from rve import slack_rings
-from rve.common.errors import InputError
+from rve.common import InputError
 from tests.films import film_of
 from tests.test_macro_fem.sheets import fallen, still_air
 

@@ -13,7 +13,7 @@ from macro_fem.cli import main
 from macro_fem.fem.cells import signed_areas
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import load_scene, read_scene
-from rve.common.errors import InputError
+from rve.common import InputError
 from tests.test_macro_fem.sheets import sheet, solve_scene
 
 SCENE = """

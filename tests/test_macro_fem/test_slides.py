@@ -6,7 +6,7 @@ import pytest
 from homogenize.io import default_law
 from macro_fem.curtain import solve_problem
 from macro_fem.scene.scene import read_scene
-from rve.common.errors import InputError
+from rve.common import InputError
 from tests.test_macro_fem.sheets import posed
 
 SIZE = 200.0

@@ -18,7 +18,7 @@ from macro_fem.scene.scene import load_scene, read_scene
 from macro_fem.scene.tables import HeldAxes
 from macro_fem.solvers.cones import green_strain
 from macro_fem.solvers.status import load_scale
-from rve.common.errors import InputError
+from rve.common import InputError
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
 from tests.test_macro_fem.sheets import posed, sheet, solve_scene
 

@@ -15,7 +15,7 @@ from macro_fem.scene.meshing.mesh_files import read_mesh_file
 from macro_fem.scene.scene import read_scene
 from macro_fem.size import largest_that_holds
 from rve import Cell, named_material, pulled_ring, solve_table, with_rings
-from rve.common.errors import InputError
+from rve.common import InputError
 from rve.common.files import write_mesh_file
 from rve.table import read_table
 from tests.test_macro_fem.sheets import sheet, solve_scene

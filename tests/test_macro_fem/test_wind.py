@@ -12,7 +12,7 @@ from macro_fem.drag import P2_PARTS, front_of, wind_density, wind_summary
 from macro_fem.scene.loads import drag_coefficient, ring_solidity
 from macro_fem.scene.scene import read_scene
 from macro_fem.shape_loop import solve_shape
-from rve.common.errors import InputError
+from rve.common import InputError
 from tests.test_macro_fem.sheets import posed, sheet
 
 

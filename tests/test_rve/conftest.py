@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rve.directions import product
-from rve.geometry.cell import Cell
+from rve.geometry import Cell
 from rve.solve import solve_table
 
 

@@ -43,7 +43,7 @@ def _element(length, EA, EIz, EIy, GJ, GAs):
 
 
 def frame_flexibility(phi, directions, radius, stiffness, count=240):
-    """Flexibility (m, m) between points of a ring as in `rve.ring.kernels.flexibility`, for balanced forces.
+    """Flexibility (m, m) between points of a ring as in `rve.wire.kernels.flexibility`, for balanced forces.
 
     stiffness: E A, E I in the plane, E I out of it, G J, kappa G A (0: no shear). Nodes lie at all points phi.
     """

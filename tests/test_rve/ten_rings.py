@@ -1,4 +1,4 @@
-"""One step of the paper's scheme with all ten rings and every bilateral constraint: the reference of `rve.paper`.
+"""One step of the paper's scheme with all ten rings and every bilateral constraint: the reference of `rve.simulation`.
 
 Each ring has six velocities. Constraints: all centres stay in the plane, ring 1 in its place, rings of one class on
 parallelograms and with equal rotation (4), and the rotation rule (5). Dense matrices, one case; the complementarity
@@ -16,11 +16,8 @@ from scipy.linalg import eigh, null_space, solve_triangular
 from scipy.optimize import nnls
 
 from rve.common import Array
-from rve.geometry.contacts import distance_gradient, distance_hessian
-from rve.geometry.ring_pair import Minima, are_linked, local_minima
-from rve.geometry.weave import FOUR_IN_ONE
-from rve.paper.dynamics import StewartTrinkleOptions
-from rve.paper.stewart_trinkle import ROUND_OFF
+from rve.geometry import FOUR_IN_ONE, Minima, are_linked, distance_gradient, distance_hessian, local_minima
+from rve.simulation import ROUND_OFF, StewartTrinkleOptions
 
 WIRE = 0.1
 KIND, SHIFT = FOUR_IN_ONE.rings[:, 0], FOUR_IN_ONE.rings[:, 1:]

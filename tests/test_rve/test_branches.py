@@ -11,13 +11,11 @@ from rve.equilibrium.dead_load import LoadedCell
 from rve.equilibrium.interior_point import DirectOptions
 from rve.equilibrium.mixtures import best_mixture, equal_shares
 from rve.equilibrium.system import Equations
-from rve.geometry.cell import Cell
-from rve.geometry.kinematics import deformation_gradient, second_pk
-from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE
-from rve.more_columns import with_rings
+from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, Cell, deformation_gradient, second_pk
 from rve.solve import reference_sides, solve_table
 from rve.support_function import support
 from rve.table import read_table, write_table
+from rve.wire import with_rings
 
 FIRST = DirectOptions(branches="first")
 

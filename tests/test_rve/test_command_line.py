@@ -12,8 +12,8 @@ import pytest
 from click.testing import CliRunner
 
 from homogenize.io import DEFAULT_LAW
+from rve.common import InputError, NotConverged
 from rve.common.commands.command_line import Group
-from rve.common.errors import InputError, NotConverged
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLE = ROOT / "tests" / "test_homogenize" / "data" / "table190.csv"

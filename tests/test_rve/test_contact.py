@@ -8,10 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rve.geometry.contacts import distance_gradient, distance_hessian, unlisted_gap
-from rve.geometry.pose import start_pose
-from rve.geometry.ring_pair import are_linked, foot_on_circle, local_minima, tangent_frame
-from rve.geometry.weave import FOUR_IN_ONE
+from rve.geometry import (
+    FOUR_IN_ONE,
+    are_linked,
+    distance_gradient,
+    distance_hessian,
+    foot_on_circle,
+    local_minima,
+    start_pose,
+    tangent_frame,
+    unlisted_gap,
+)
 
 
 def unit(x):

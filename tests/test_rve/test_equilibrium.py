@@ -13,11 +13,17 @@ from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.limits import contact_forces, polish
 from rve.equilibrium.steps import accept_step
 from rve.equilibrium.system import Equations
-from rve.geometry.cell import Cell
-from rve.geometry.contacts import find_contacts, parallel_clearance
-from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.pose import Pose, moved, start_pose, tangent_frame
-from rve.geometry.weave import FOUR_IN_ONE
+from rve.geometry import (
+    FOUR_IN_ONE,
+    Cell,
+    Pose,
+    cauchy_line_load,
+    find_contacts,
+    moved,
+    parallel_clearance,
+    start_pose,
+    tangent_frame,
+)
 from rve.solve import locked_block, reference_sides, solve_table
 
 OPTIONS = DirectOptions()

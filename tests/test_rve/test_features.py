@@ -8,11 +8,9 @@ import pytest
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.limits import with_limits
 from rve.equilibrium.system import Equations
-from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.weave import FOUR_IN_ONE
-from rve.paper.stewart_trinkle import StewartTrinkleOptions
-from rve.paper.stewart_trinkle import solve as come_to_rest
+from rve.geometry import FOUR_IN_ONE, Cell, cauchy_line_load
+from rve.simulation import StewartTrinkleOptions
+from rve.simulation import simulate as come_to_rest
 from rve.solve import solve_table
 
 TEN = Equations.of(FOUR_IN_ONE, 0.1)

@@ -6,9 +6,8 @@ import stat
 
 import pytest
 
-from rve.common.errors import InputError
-from rve.common.files import check_out_file, check_out_job, checksum, job, sidecar_path
-from rve.geometry.cell import Cell
+from rve.common import InputError, check_out_file, check_out_job, checksum, job, sidecar_path
+from rve.geometry import Cell
 from rve.solve import solve_table
 from rve.table import read_table, write_table
 

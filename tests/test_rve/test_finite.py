@@ -10,15 +10,22 @@ from scipy.optimize import minimize
 from benchmarks.every_ring.cell import edge_loaded
 from rve import Cell, FiniteMesh, FiniteOptions, HalfSpace, InputError, cell_of_sides
 from rve.common.factor import Factorizer
-from rve.drawn import ALONG
-from rve.finite.equations import METRIC, blocks, gradients, lacking, rows_of, spread
-from rve.finite.newton import Iteration, forces_that_stop
-from rve.finite.passage import is_passage_safe, ways
-from rve.finite.task import State, Task
-from rve.finite.touching import Placed, find_touching, fixed_points, followed_gaps, handed_on, links_intact
-from rve.finite.walls import wall_derivatives, wall_gaps
-from rve.geometry.ring_pair import tangent_frame
-from rve.geometry.weave import WEAVES
+from rve.finite.contacts import (
+    MeshPose,
+    find_mesh_contacts,
+    is_passage_safe,
+    links_intact,
+    make_fixed_points,
+    track_gaps,
+    transfer_forces,
+    travel_bounds,
+    wall_derivatives,
+    wall_gaps,
+)
+from rve.finite.newton import METRIC, NewtonSystem, blocks, forces_that_stop, gradients, negative_part, rows_of, spread
+from rve.finite.problem import Iterate, ScaledProblem
+from rve.geometry import WEAVES, tangent_frame
+from rve.plots import ALONG
 
 G = 9.81
 
@@ -71,8 +78,8 @@ def test_any_outline_keeps_its_area_and_leaves_out_holes():
 def test_the_slack_start_has_gaps_and_the_links_of_the_weave():
     mesh = FiniteMesh.rectangle(Cell(), 4, 3)
     centre, normal = mesh.slack()
-    placed = Placed(centre / 5.0, normal)
-    con = find_touching(placed, mesh.linked, 0.1, 0.6)
+    pose = MeshPose(centre / 5.0, normal)
+    con = find_mesh_contacts(pose, mesh.linked, 0.1, 0.6)
     assert con.deepest.min() > 0.25
     assert links_intact(con, mesh.linked[:, 0] * len(mesh.X) + mesh.linked[:, 1])
     assert not links_intact(con, mesh.linked[1:, 0] * len(mesh.X) + mesh.linked[1:, 1])
@@ -84,17 +91,17 @@ def disturbed(seed, size=0.05):
     centre, normal = mesh.slack()
     rng = np.random.default_rng(seed)
     q = size * rng.uniform(-1.0, 1.0, (len(mesh.X), 5))
-    return mesh, Placed(centre / 5.0, normal).moved(q), rng
+    return mesh, MeshPose(centre / 5.0, normal).moved(q), rng
 
 
 def test_gradients_and_newton_matrix_are_those_of_differences():
-    mesh, placed, rng = disturbed(1)
+    mesh, pose, rng = disturbed(1)
     n = len(mesh.X)
     q = rng.standard_normal((n, 5))
     step = 1e-5
 
     def at(t):
-        con = find_touching(placed.moved(t * q), mesh.linked, 0.1, 0.6)
+        con = find_mesh_contacts(pose.moved(t * q), mesh.linked, 0.1, 0.6)
         return con, con.gap
 
     con, gap = at(0.0)
@@ -114,7 +121,7 @@ def test_gradients_and_newton_matrix_are_those_of_differences():
     for row in np.flatnonzero(same)[::7]:
         force = np.zeros(len(gap))
         force[row] = 1.0
-        K = blocks(con, jac, np.zeros(len(gap)), force, np.zeros(len(gap)))
+        K = blocks(con, jac, np.zeros(len(gap)), force)
         v = moved[row]
         second = (g1[row] - 2 * gap[row] + g2[row]) / step**2
         assert v @ -K[con.minima.pair[row]] @ v == pytest.approx(second, abs=1e-3 * (1.0 + abs(second)))
@@ -122,14 +129,17 @@ def test_gradients_and_newton_matrix_are_those_of_differences():
 
 def some_iteration():
     """An iteration in which some coordinates are free and no contact has a force, and its matrix by sums over pairs."""
-    mesh, placed, rng = disturbed(2)
-    con = find_touching(placed, mesh.linked, 0.1, 0.6)
+    mesh, pose, rng = disturbed(2)
+    con = find_mesh_contacts(pose, mesh.linked, 0.1, 0.6)
     (n, m, p), none = (len(mesh.X), len(con.gap), len(con.key)), np.zeros((len(mesh.X), 3))
     free = rng.uniform(size=(n, 5)) > 0.2
     motions = sparse.identity(5 * n, format="csr")[:, np.flatnonzero(free)]
-    task, mu = Task(mesh.linked, 0.1, rng.standard_normal((n, 3)), none > 0.0, none, motions), np.full(n, 0.01)
+    problem, mu = (
+        ScaledProblem(mesh.linked, 0.1, rng.standard_normal((n, 3)), none > 0.0, none, motions),
+        np.full(n, 0.01),
+    )
     zero = np.zeros(p), np.zeros(p), np.zeros(m), np.zeros(n)
-    now = Iteration(State(con, np.zeros(m), mu, 0.02, *zero), task, gradients(con), Factorizer("superlu"))
+    now = NewtonSystem(Iterate(con, np.zeros(m), mu, 0.02, *zero), problem, gradients(con), Factorizer("superlu"))
     whole = np.zeros((p, 7, n, 5))
     for pair, (a, b) in enumerate(zip(con.a, con.b, strict=True)):
         whole[pair, [0, 1, 2], a, [0, 1, 2]] = -1.0
@@ -139,11 +149,11 @@ def some_iteration():
     jac = np.einsum("mk,mkx->mx", gradients(con), whole[con.minima.pair])
 
     def matrix():
-        state, linked = now.state, np.isin(con.key, task.keys)
-        damping = 1e-3 * linked * (state.damping + state.local)
-        found = jac.T @ ((0.01 / con.reach / con.gap + state.extra)[:, None] * jac)
+        iterate, linked = now.iterate, np.isin(con.key, problem.keys)
+        damping = 1e-3 * linked * (iterate.damping + iterate.local)
+        found = jac.T @ ((0.01 / con.reach / con.gap + iterate.extra)[:, None] * jac)
         found += np.einsum("p,k,pkx,pky->xy", damping, METRIC, whole, whole)
-        found += (1e-10 + 1e-6 * state.damping) * np.eye(5 * n)
+        found += (1e-10 + 1e-6 * iterate.damping) * np.eye(5 * n)
         return found[np.ix_(free.ravel(), free.ravel())]
 
     return now, matrix, jac, motions, rng
@@ -165,12 +175,12 @@ def test_a_factor_serves_for_stiffer_contacts_and_pairs():
     now, matrix, jac, motions, rng = some_iteration()
     now.step()
     factors, x = now.factors, rng.standard_normal(motions.shape[1])
-    tight = np.flatnonzero(np.isin(now.con.key, now.task.keys))[:2]
+    tight = np.flatnonzero(np.isin(now.con.key, now.problem.keys))[:2]
     for count in (0, 4, 2):
-        extra, local = now.state.extra.copy(), now.state.local.copy()
+        extra, local = now.iterate.extra.copy(), now.iterate.local.copy()
         extra[rng.choice(len(jac), count, replace=False)] += rng.uniform(1.0, 90.0, count)
         local[tight[: count // 2]] += 5.0
-        now.state = replace(now.state, extra=extra, local=local)
+        now.iterate = replace(now.iterate, extra=extra, local=local)
         assert np.allclose(matrix() @ now.step().solve(x), x)
     assert now.factors == factors
 
@@ -199,7 +209,7 @@ def crossing_pairs(seed, size):
         normal /= np.linalg.norm(normal, axis=1)[:, None]
         e1, e2 = tangent_frame(normal)
         t = rng.uniform(0.0, 2.0 * np.pi, (2, 1))
-        middle = Placed(-(np.cos(t) * e1 + np.sin(t) * e2), normal)  # both circles pass through the origin
+        middle = MeshPose(-(np.cos(t) * e1 + np.sin(t) * e2), normal)  # both circles pass through the origin
         q = size * rng.uniform(-1.0, 1.0, (2, 5))
         omega = q[:, 3:4] * e1 + q[:, 4:] * e2
         before = middle.moved(-0.5 * q)
@@ -212,8 +222,10 @@ def test_circles_that_cross_on_the_way_have_ways_as_long_as_their_distances():
     ratio = []
     for size in (0.02, 0.3, 1.0):
         for before, q in crossing_pairs(6, size):
-            old, new = (find_touching(placed, pair, 0.0, 9.0, beside=False) for placed in (before, before.moved(q)))
-            ratio.append((old.deepest[0] + new.deepest[0]) / ways(old, q)[0])
+            old, new = (
+                find_mesh_contacts(pose, pair, 0.0, 9.0, guard_points=False) for pose in (before, before.moved(q))
+            )
+            ratio.append((old.deepest[0] + new.deepest[0]) / travel_bounds(old, q)[0])
     assert max(ratio) <= 1.0
     assert max(ratio) > 0.5  # the bound is no mere multiple of the way
 
@@ -223,7 +235,7 @@ def test_what_blocks_lack_takes_their_negative_curvature_and_nothing_else():
     root = rng.standard_normal((3, 7, 4))
     pairs = np.matmul(root, root.transpose(0, 2, 1)) - np.array([0.0, 0.5, 2.0])[:, None, None] * np.eye(7)
     pairs = np.concatenate([pairs, np.zeros((1, 7, 7))])
-    found = lacking(pairs)
+    found = negative_part(pairs)
     assert not found[3].any()
     assert np.abs(found[0]).max() < 1e-12
     # in the ten unknowns of both rings it is the projection of the block on the negative semidefinite matrices
@@ -237,12 +249,12 @@ def test_what_blocks_lack_takes_their_negative_curvature_and_nothing_else():
 
 def test_no_step_carries_a_ring_through_another():
     def passes(x0, normals, way):
-        before = Placed(np.array(x0), np.array(normals))
+        before = MeshPose(np.array(x0), np.array(normals))
         linked = np.zeros((0, 2), dtype=int)
         q = np.zeros((2, 5))
         q[1, :3] = way
         after = before.moved(q)
-        old, new = (find_touching(placed, linked, 0.1, 0.6) for placed in (before, after))
+        old, new = (find_mesh_contacts(pose, linked, 0.1, 0.6) for pose in (before, after))
         return is_passage_safe(old, new, q)
 
     flat = [[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]
@@ -296,7 +308,7 @@ def slsqp(mesh, force, held, at):
     n, r1 = len(mesh.X), mesh.cell.r1
     centre, normal = mesh.slack()
     centre += np.where(held, at, centre)[held[:, 0]].mean(axis=0) - centre[held[:, 0]].mean(axis=0)
-    start = Placed(centre / r1, normal)
+    start = MeshPose(centre / r1, normal)
     pairs = [(a, b) for a in range(n) for b in range(a + 1, n)]
     linked = np.array(pairs)
     free = np.ones((n, 5), dtype=bool)
@@ -308,8 +320,8 @@ def slsqp(mesh, force, held, at):
     def of(v):
         q = base.copy()
         q[free] = v
-        placed = start.moved(q)
-        return placed, find_touching(placed, linked, mesh.cell.wire, 10.0)
+        pose = start.moved(q)
+        return pose, find_mesh_contacts(pose, linked, mesh.cell.wire, 10.0)
 
     def gaps(v):
         _, con = of(v)
@@ -327,10 +339,10 @@ def slsqp(mesh, force, held, at):
         moved, v = np.abs(found.x - v).max(), found.x
         if moved < 1e-6:
             break
-    placed, con = of(found.x)
+    pose, con = of(found.x)
     X = np.column_stack([mesh.X, np.zeros(n)])
     assert con.deepest.min() > -1e-6
-    return float(-(force * (r1 * placed.x - X)).sum())
+    return float(-(force * (r1 * pose.x - X)).sum())
 
 
 @pytest.mark.slow
@@ -430,7 +442,7 @@ def test_derivatives_over_a_plane_and_beside_a_ball_are_those_of_differences(R):
     step = 1e-4
 
     def at(t):
-        moved = Placed(x, normal).moved(t * q)
+        moved = MeshPose(x, normal).moved(t * q)
         return wall_gaps(moved.x, moved.normal, place + t * way, m, radius)
 
     jac, H = wall_derivatives(x, normal, place, m, radius)
@@ -488,10 +500,10 @@ def test_rings_that_slide_over_a_floor_come_to_rest():
 
 
 def test_contacts_that_are_followed_are_those_of_a_whole_search():
-    mesh, placed, rng = disturbed(3, 0.03)
-    con = find_touching(placed, mesh.linked, 0.1, 0.6)
-    after = placed.moved(0.02 * rng.uniform(-1.0, 1.0, (len(mesh.X), 5)))
-    new, gap = find_touching(after, mesh.linked, 0.1, 3.0, beside=False), followed_gaps(con, after)
+    mesh, pose, rng = disturbed(3, 0.03)
+    con = find_mesh_contacts(pose, mesh.linked, 0.1, 0.6)
+    after = pose.moved(0.02 * rng.uniform(-1.0, 1.0, (len(mesh.X), 5)))
+    new, gap = find_mesh_contacts(after, mesh.linked, 0.1, 3.0, guard_points=False), track_gaps(con, after)
     real = ~con.fixed
     assert np.isinf(gap[con.fixed]).all()
     least = np.full(len(con.key), np.inf)
@@ -514,16 +526,16 @@ def from_random_starts(seeds):
 
 def test_fixed_points_of_a_soft_pair_are_as_near_as_its_minima_and_their_gaps_are_smooth():
     wire, none, normal = 0.1, np.zeros((0, 2), int), np.array([[0, 0, 1], [0, np.sin(2e-3), np.cos(2e-3)]])
-    placed = Placed(np.array([[0, 0, 0], [0, 0, 2 * wire + 2e-3 + 1e-6]]), normal)
-    con = find_touching(placed, none, wire, 0.1)
-    points = fixed_points(con, np.arange(1))
-    fixed = find_touching(placed, none, wire, 0.1, beside=False, points=points)
+    pose = MeshPose(np.array([[0, 0, 0], [0, 0, 2 * wire + 2e-3 + 1e-6]]), normal)
+    con = find_mesh_contacts(pose, none, wire, 0.1)
+    points = make_fixed_points(con, np.arange(1))
+    fixed = find_mesh_contacts(pose, none, wire, 0.1, guard_points=False, fixed_points=points)
     assert con.minima.curvature.min() < 1e-2
     assert fixed.fixed.all()
     assert fixed.deepest == pytest.approx(con.deepest)
     assert con.deepest[0] <= fixed.gap.min() < 1.1 * con.deepest[0]
     turn = 1e-5 * np.eye(2, 5, 3)  # a tilt of each ring
-    moved = find_touching(placed.moved(turn), none, wire, 0.1, beside=False, points=points)
+    moved = find_mesh_contacts(pose.moved(turn), none, wire, 0.1, guard_points=False, fixed_points=points)
     forecast = fixed.gap + rows_of(fixed, fixed.minima.pair, gradients(fixed)[:, None]) @ turn.ravel()
     assert moved.gap == pytest.approx(forecast, abs=1e-9)  # twice the square of the turn over the distance
 
@@ -531,19 +543,21 @@ def test_fixed_points_of_a_soft_pair_are_as_near_as_its_minima_and_their_gaps_ar
 def test_soft_minima_across_a_ring_have_fixed_points_around_each_and_other_minima_stay():
     wire, none, shift = 0.1, np.zeros((0, 2), int), 0.02
     normal = np.array([[0, 0, 1], [0, np.sin(1e-3), np.cos(1e-3)]])
-    placed = Placed(np.array([[0, 0, 0], [shift, 0, 2 * wire + 1e-3 + 1e-6]]), normal)
-    con = find_touching(placed, none, wire, 0.1, beside=False)
+    pose = MeshPose(np.array([[0, 0, 0], [shift, 0, 2 * wire + 1e-3 + 1e-6]]), normal)
+    con = find_mesh_contacts(pose, none, wire, 0.1, guard_points=False)
     assert len(con.gap) == 2
-    points = fixed_points(con, np.arange(1))
-    both = find_touching(placed, none, wire, 0.1, beside=False, points=points)
+    points = make_fixed_points(con, np.arange(1))
+    both = find_mesh_contacts(pose, none, wire, 0.1, guard_points=False, fixed_points=points)
     assert both.fixed.all()
     for rho, gap in zip(con.minima.rho_a, con.gap, strict=True):
-        beside = np.linalg.norm(both.minima.rho_a - rho, axis=1) < points.way.max()
+        beside = np.linalg.norm(both.minima.rho_a - rho, axis=1) < points.spacing.max()
         assert gap <= both.gap[beside].min() < 1.1 * gap
-    force = handed_on(con, np.array([1.0, 2.0]), both, np.array(1e-9))
+    force = transfer_forces(con, np.array([1.0, 2.0]), both, np.array(1e-9))
     for rho, own in zip(con.minima.rho_a, (1.0, 2.0), strict=True):
         assert force[both.minima.rho_a @ rho > 0.0].sum() == pytest.approx(own)
-    one = find_touching(placed, none, wire, 0.1, beside=False, points=points.take(points.rho[:, 1] > 0.0))
+    one = find_mesh_contacts(
+        pose, none, wire, 0.1, guard_points=False, fixed_points=points.take(points.rho[:, 1] > 0.0)
+    )
     assert (~one.fixed).sum() == 1
     assert one.gap[~one.fixed] == pytest.approx(con.gap[con.minima.rho_a[:, 1] < 0.0])
 
@@ -616,28 +630,30 @@ def test_far_from_its_edges_a_mesh_has_the_strain_of_the_cell():
 
 
 def test_the_right_hand_side_is_the_slope_of_the_barrier_function_where_each_ring_has_its_mu_and_with_a_guide_too():
-    mesh, placed, rng = disturbed(3)
+    mesh, pose, rng = disturbed(3)
     n = len(mesh.X)
-    guide = np.where(rng.uniform(size=(n, 3)) > 0.3, placed.x + rng.standard_normal((n, 3)), np.nan)
+    guide = np.where(rng.uniform(size=(n, 3)) > 0.3, pose.x + rng.standard_normal((n, 3)), np.nan)
     none = np.zeros((n, 3), dtype=bool)
     motions = sparse.identity(5 * n, format="csr")
-    task = Task(mesh.linked, 0.1, rng.standard_normal((n, 3)), none, placed.x, motions, beside=False, guide=guide)
+    problem = ScaledProblem(
+        mesh.linked, 0.1, rng.standard_normal((n, 3)), none, pose.x, motions, guard_points=False, guide=guide
+    )
     q, mu, step = rng.standard_normal((n, 5)), rng.uniform(0.001, 0.03, n), 1e-6
 
     def at(t):
-        con = find_touching(placed.moved(t * q), mesh.linked, 0.1, 0.6, beside=False)
-        return con, task.barrier(con, mu)
+        con = find_mesh_contacts(pose.moved(t * q), mesh.linked, 0.1, 0.6, guard_points=False)
+        return con, problem.barrier(con, mu)
 
     con, _ = at(0.0)
     (fore, above), (aft, below) = at(step), at(-step)
     assert (fore.count == aft.count).all()
     zero = np.zeros(len(con.gap))
-    state = State(con, zero, mu, 0.0, *np.zeros((2, len(con.key))), zero, np.zeros(n))
-    assert (state.contact_mu == np.maximum(mu[con.a], mu[con.b])[con.minima.pair]).all()
-    slope = -float(Iteration(state, task, gradients(con), Factorizer()).push @ q.ravel())
+    iterate = Iterate(con, zero, mu, 0.0, *np.zeros((2, len(con.key))), zero, np.zeros(n))
+    assert (iterate.contact_mu == np.maximum(mu[con.a], mu[con.b])[con.minima.pair]).all()
+    slope = -float(NewtonSystem(iterate, problem, gradients(con), Factorizer()).push @ q.ravel())
     assert (above - below) / (2 * step) == pytest.approx(slope, rel=1e-6)
     for small in np.outer((1e-9, 5e-4), np.ones(n)):
-        assert task.barrier(con, small) == replace(task, guide=np.array(np.nan)).barrier(con, small)
+        assert problem.barrier(con, small) == replace(problem, guide=np.array(np.nan)).barrier(con, small)
 
 
 def test_a_guide_has_no_part_in_the_answer_but_where_it_is_found():

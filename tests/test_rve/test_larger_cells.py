@@ -15,13 +15,21 @@ from rve.equilibrium.interior_point import DirectOptions, unit_loads
 from rve.equilibrium.largest_work import UNSTABLE, in_cell
 from rve.equilibrium.limits import balanced, loose_motions
 from rve.equilibrium.system import Equations
-from rve.geometry.cell import Cell, weave_sides
-from rve.geometry.contacts import unlisted_gap
-from rve.geometry.pose import moved, start_pose, strain_of, tiled
-from rve.geometry.weave import SIX_IN_ONE, WEAVES, supercell
-from rve.more_columns import with_rings
+from rve.geometry import (
+    SIX_IN_ONE,
+    WEAVES,
+    Cell,
+    moved,
+    start_pose,
+    strain_of,
+    supercell,
+    tiled,
+    unlisted_gap,
+    weave_sides,
+)
 from rve.solve import reference_sides, solve_table
 from rve.support_function import support
+from rve.wire import with_rings
 
 LOADS = np.array([[0.9, 0.05, 0.1], [0.6, 0.2, 0.4], [0.2, -0.1, 0.8]])
 THIN = Cell(5.0, 0.25, SIX_IN_ONE)

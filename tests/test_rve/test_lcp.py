@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rve.paper.stewart_trinkle import solve_contact_step
+from rve.simulation.stewart_trinkle import solve_contact_step
 
 
 def programme(rng, n, c, stiffness):
@@ -36,5 +36,5 @@ def test_a_step_whose_forces_are_not_found_says_so(monkeypatch):
     def fails(*_):
         raise RuntimeError
 
-    monkeypatch.setattr("rve.paper.stewart_trinkle.nnls", fails)
+    monkeypatch.setattr("rve.simulation.stewart_trinkle.nnls", fails)
     assert not solve_contact_step(*programme(np.random.default_rng(4), 3, 15, 1e4))[2].any()

@@ -10,9 +10,8 @@ from click.testing import CliRunner
 
 from rve import MATERIALS, WEAVES, Cell, Material, named_material, read_table
 from rve.cli import main
-from rve.common.errors import InputError
+from rve.common import InputError, read_typed
 from rve.common.materials import material_of
-from rve.common.typed import read_typed
 
 dumps, loads = ForkingPickler.dumps, ForkingPickler.loads
 

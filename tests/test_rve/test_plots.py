@@ -5,8 +5,7 @@ import pytest
 from click.testing import CliRunner
 
 from rve.cli import main
-from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry import Cell, cauchy_line_load
 from rve.plots import corner_forces
 from rve.solve import solve_table
 

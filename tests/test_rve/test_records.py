@@ -5,14 +5,11 @@ from dataclasses import replace
 import numpy as np
 
 from rve import StrainTable, solve_table
-from rve.common.records import Rows
+from rve.common import Rows
 from rve.equilibrium.interior_point import solve_equilibrium
 from rve.equilibrium.system import Equations
-from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.pose import start_pose
-from rve.geometry.weave import FOUR_IN_ONE
-from rve.more_columns import with_rings
+from rve.geometry import FOUR_IN_ONE, Cell, cauchy_line_load, start_pose
+from rve.wire import with_rings
 
 
 def frozen(record):

@@ -3,8 +3,16 @@
 import numpy as np
 import pytest
 
-from rve.ring.kernels import flexibility, internal_forces, section_matrix, self_stress
-from rve.ring.section import Ring, Section, out_of_plane_inertia, shear_factor
+from rve.wire import (
+    Ring,
+    Section,
+    flexibility,
+    internal_forces,
+    out_of_plane_inertia,
+    section_matrix,
+    self_stress,
+    shear_factor,
+)
 
 from .frame import frame_flexibility, local_axes, random_load
 

@@ -5,10 +5,9 @@ import pytest
 from scipy.optimize import linprog
 
 from rve import Material, pulled_ring
-from rve.common.errors import InputError, NotConverged
-from rve.ring.kernels import internal_forces, self_stress
-from rve.ring.section import Ring
-from rve.ring.strength import BENDING, TORSION, checked_sections, largest_factors, plastic_collapse
+from rve.common import InputError, NotConverged
+from rve.wire import Ring, internal_forces, plastic_collapse, self_stress
+from rve.wire.strength import BENDING, TORSION, StrengthOptions, checked_sections, largest_factors
 
 from .frame import random_load
 
@@ -77,7 +76,7 @@ def test_a_linear_program_of_plastic_hinges_agrees(seed):
 
 
 def test_collapse_grows_with_yield_and_lies_above_first_yield():
-    from rve.ring.strength import peak_stress
+    from rve.wire import peak_stress
 
     phi, forces = pulls(2)
     one, two = (plastic_collapse(phi, forces, RING, s)[0][0] for s in (200.0, 500.0))
@@ -102,14 +101,14 @@ def test_choosing_among_contact_forces_helps():
 
 
 def test_too_few_steps_are_not_an_answer():
-    phi, forces = pulls(3)
+    (phi, forces), few = pulls(3), StrengthOptions(steps=2)
     at = checked_sections(phi)
     base = internal_forces(phi, forces, at, RING.thin())[..., 3:]
     free = self_stress(at, 5.0)[..., 3:, :]
-    assert np.isnan(largest_factors(base, free, steps=2)[0][0])
+    assert np.isnan(largest_factors(base, free, options=few)[0][0])
     assert largest_factors(base, free)[0][0] > 0.0
     with pytest.raises(NotConverged, match="1 of 1 rings"):
-        plastic_collapse(phi, forces, RING, YIELD, steps=2)
+        plastic_collapse(phi, forces, RING, YIELD, options=few)
 
 
 def test_a_ring_between_two_hooks_has_its_closed_forms():

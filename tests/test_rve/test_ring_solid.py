@@ -11,8 +11,7 @@ from skfem import Basis, ElementHex2, ElementVector, FacetBasis, LinearForm, Mes
 from skfem.helpers import dot
 from skfem.models.elasticity import lame_parameters, linear_elasticity
 
-from rve.ring.kernels import flexibility, internal_forces
-from rve.ring.section import Ring, skin_stress
+from rve.wire import Ring, flexibility, internal_forces, skin_stress
 
 YOUNG, POISSON, R2 = 200e3, 0.3, 1.0
 SLICES, ACROSS = 48, 4

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from rve.ring.kernels import internal_forces
-from rve.ring.section import Ring, skin_stress
-from rve.ring.strength import peak_stress
+from rve.wire import Ring, internal_forces, peak_stress, skin_stress
 
 from .frame import random_load
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import rve
-from rve.drawn import shadow
 from rve.equilibrium.interior_point import DirectOptions
-from rve.geometry.pose import Pose
+from rve.geometry import Pose
 from rve.solve import reference_pose
+from rve.wire import shadow
 
 
 def one_ring(side, tilt):

@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from rve.geometry.kinematics import green_lagrange
-from rve.geometry.pose import moved, reduction, start_pose
-from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE, supercell
-from rve.strained.poses import Spring, split_response
+from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, green_lagrange, moved, reduction, start_pose, supercell
+from rve.placed.poses import Spring, split_response
 
 SPRING = Spring((2.2, 2.5), fold=0.1, weak=0.3)
 CASES = 5

@@ -7,11 +7,9 @@ import pytest
 
 from rve.equilibrium.interior_point import solve_equilibrium
 from rve.equilibrium.system import Equations
-from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.pose import strain_of
-from rve.geometry.weave import FOUR_IN_ONE
-from rve.paper import stewart_trinkle as st
-from rve.paper.dynamics import Dynamics, StewartTrinkleOptions, copies
+from rve.geometry import FOUR_IN_ONE, cauchy_line_load, strain_of
+from rve.simulation import Dynamics, StewartTrinkleOptions, copies
+from rve.simulation import stewart_trinkle as st
 
 EQUATIONS = Equations.of(FOUR_IN_ONE, 0.1)
 OPTIONS = StewartTrinkleOptions()
@@ -27,7 +25,7 @@ def loads():
 
 @pytest.fixture(scope="module")
 def rest(loads):
-    return st.solve(loads, EQUATIONS, OPTIONS, history=True)
+    return st.simulate(loads, EQUATIONS, OPTIONS, history=True)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +60,7 @@ def test_residual_of_eq_9_is_that_of_the_static_system(rest, loads):
 def test_penetration_falls_in_proportion_to_load_over_stiffness(rest, rigid, loads):
     rows = np.array([0, 1, 4])
     stiffer = replace(OPTIONS, stiffness=4.0 * OPTIONS.stiffness)
-    harder = st.solve(loads[rows], EQUATIONS, stiffer)
+    harder = st.simulate(loads[rows], EQUATIONS, stiffer)
     exact = strain_of(rigid.pose, reference(rigid))[rows]
     soft_error = np.abs(strain_of(rest.pose, reference(rigid))[rows] - exact).max(axis=1)
     hard_error = np.abs(strain_of(harder.pose, reference(rigid)) - exact).max(axis=1)
@@ -74,7 +72,7 @@ def test_penetration_falls_in_proportion_to_load_over_stiffness(rest, rigid, loa
 
 def test_results_do_not_depend_on_company_or_order(rest, loads):
     rows = np.array([4, 1])
-    pair = st.solve(loads[rows], EQUATIONS, OPTIONS)
+    pair = st.simulate(loads[rows], EQUATIONS, OPTIONS)
     for name in ("lattice", "centres", "normals"):
         assert np.array_equal(getattr(pair.pose, name), getattr(rest.pose, name)[rows])
     for name in ("R", "steps", "rejected", "time", "lam"):
@@ -95,8 +93,8 @@ def test_units_change_no_bit(loads, kind):
             density=OPTIONS.density / factor**3,
             rotational_damping=OPTIONS.rotational_damping * factor**2,
         )
-    one = st.solve(loads[1:2], EQUATIONS, replace(OPTIONS, max_steps=40))
-    two = st.solve(loads[1:2], EQUATIONS, replace(other, max_steps=40))
+    one = st.simulate(loads[1:2], EQUATIONS, replace(OPTIONS, max_steps=40))
+    two = st.simulate(loads[1:2], EQUATIONS, replace(other, max_steps=40))
     assert np.array_equal(one.pose.lattice, two.pose.lattice)
     assert np.array_equal(one.R, two.R)
 
@@ -105,7 +103,7 @@ def test_twice_the_load_runs_twice_as_fast_when_inertia_is_small(loads):
     """Overdamped motion: time goes with damping over load. Steps small enough for both clocks."""
     slow = replace(OPTIONS, h_max=0.02, max_steps=100, stiffness=1e6)
     fast = replace(slow, load=2.0 * slow.load, h_max=0.01, stiffness=2e6)
-    one, two = (st.solve(loads[:1], EQUATIONS, options) for options in (slow, fast))
+    one, two = (st.simulate(loads[:1], EQUATIONS, options) for options in (slow, fast))
     assert one.time == pytest.approx(2.0 * two.time)
     assert one.pose.lattice == pytest.approx(two.pose.lattice, abs=2e-4)
     assert np.abs(one.pose.lattice[0, :2] - FOUR_IN_ONE.start_lattice[:2]).max() > 0.1
@@ -115,7 +113,7 @@ def test_first_step_from_rest_is_the_implicit_one(loads):
     """No contact yet: (M/h + D) v = f on the free velocities."""
     rest = st.begin(loads[:1], EQUATIONS, replace(OPTIONS, h_max=1e-3))
     dynamics = Dynamics.of(EQUATIONS, OPTIONS)
-    after, _, _ = st.advanced(rest, EQUATIONS, replace(OPTIONS, h_max=1e-3), dynamics)
+    after, _, _ = st.advance(rest, EQUATIONS, replace(OPTIONS, h_max=1e-3), dynamics)
     assert rest.h[0] == 1e-3
     assert after.lam.max() == 0.0
     s = loads[0]
@@ -128,7 +126,7 @@ def test_first_step_from_rest_is_the_implicit_one(loads):
 
 def test_too_few_steps_and_a_step_that_cannot_shrink_are_told(loads):
     for options, status in ((replace(OPTIONS, max_steps=3), "step-limit"), (STUCK, "time-step")):
-        found = st.solve(loads[:1], EQUATIONS, options)
+        found = st.simulate(loads[:1], EQUATIONS, options)
         assert (found.status[0], bool(np.isfinite(found.pose.lattice).all())) == (status, True)
 
 
@@ -142,7 +140,7 @@ def test_copies_of_a_link_among_the_ten_rings():
 def test_motion_without_inertia_comes_to_rest_at_the_same_place():
     """A millionth of the mass: damping alone determines where the rings come to rest."""
     s = cauchy_line_load([20.0], [30.0])
-    slow, fast = (st.solve(s, EQUATIONS, replace(OPTIONS, density=share * OPTIONS.density)) for share in (1.0, 1e-6))
+    slow, fast = (st.simulate(s, EQUATIONS, replace(OPTIONS, density=share * OPTIONS.density)) for share in (1.0, 1e-6))
     assert fast.status[0] == "converged"
     assert fast.pose.lattice == pytest.approx(slow.pose.lattice, abs=1e-8)
     assert not np.array_equal(fast.pose.lattice, slow.pose.lattice)

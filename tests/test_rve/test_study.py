@@ -6,12 +6,10 @@ import json
 import numpy as np
 import pytest
 
-from rve.common.progress import heard_by
+from rve.common import heard_by
 from rve.directions import grid
-from rve.geometry.weave import FOUR_IN_ONE
-from rve.paper import study
-from rve.paper.dynamics import copies
-from rve.paper.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions
+from rve.geometry import FOUR_IN_ONE
+from rve.simulation import ROUND_OFF, StewartTrinkleOptions, copies, study
 
 PICTURES = [f"fig_{n:02d}.png" for n in (9, 10, 11, 12, 13, 14, 15, 16, 17)]
 
@@ -21,7 +19,7 @@ def test_one_command_writes_every_table_and_picture(tmp_path):
     alpha, beta = np.array([0.0, 0.0, 20.0, 20.0, 45.0]), np.array([0.0, 45.0, 45.0, 60.0, 90.0])
     options = StewartTrinkleOptions(max_steps=80)
     with heard_by(told.append):
-        found = study.run(tmp_path / "new", alpha, beta, options)
+        found = study.run_study(tmp_path / "new", alpha, beta, options)
     names = {path.name for path in (tmp_path / "new").iterdir()}
     expected = {"cases.csv", "comparison.md", "study.json", "history_0_0.csv", "history_45_90.csv", *PICTURES}
     assert names == expected

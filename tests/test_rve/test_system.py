@@ -5,10 +5,17 @@ import pytest
 
 from rve.equilibrium.steps import carry_forces
 from rve.equilibrium.system import Equations, lattice_load
-from rve.geometry.contacts import find_contacts
-from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
-from rve.geometry.pose import moved, start_pose
-from rve.geometry.weave import FOUR_IN_ONE, WEAVES
+from rve.geometry import (
+    FOUR_IN_ONE,
+    WEAVES,
+    cauchy_line_load,
+    deformation_gradient,
+    find_contacts,
+    green_lagrange,
+    moved,
+    second_pk,
+    start_pose,
+)
 
 
 def random_pose(weave, rng, amount=0.08):

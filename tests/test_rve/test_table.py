@@ -6,10 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rve.common.errors import InputError
-from rve.common.files import sidecar_path
+from rve.common import InputError, sidecar_path
 from rve.directions import graded_grid, parse_angles, product, read_loads
-from rve.geometry.cell import Cell
+from rve.geometry import Cell
 from rve.solve import solve_table
 from rve.table import COLUMNS, read_table, write_table
 

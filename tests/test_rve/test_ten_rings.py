@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from rve.equilibrium.system import Equations
-from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.weave import FOUR_IN_ONE
-from rve.paper import stewart_trinkle as st
-from rve.paper.dynamics import StewartTrinkleOptions
+from rve.geometry import FOUR_IN_ONE, cauchy_line_load
+from rve.simulation import StewartTrinkleOptions
+from rve.simulation import stewart_trinkle as st
 from tests.test_rve import ten_rings as ten
 
 EQUATIONS = Equations.of(FOUR_IN_ONE, ten.WIRE)
@@ -48,7 +47,7 @@ def test_every_step_is_the_same_to_round_off(alpha, beta, curvature):
         good = [False]
         while not good[0]:
             h = motion.h
-            motion, good, rise = st.advanced(motion, EQUATIONS, options, dynamics)
+            motion, good, rise = st.advance(motion, EQUATIONS, options, dynamics)
         after, found = all_rings(motion, dynamics), step.rings
         assert tried == h[0]
         assert found.centres == pytest.approx(after.centres, abs=1e-9)

@@ -6,14 +6,23 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from rve.common.errors import InputError
+from rve.common import InputError
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.system import Equations
-from rve.geometry.cell import Cell
-from rve.geometry.contacts import distance_gradient, find_contacts
-from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.pose import moved, pair_maps, reduction, start_pose
-from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE, WEAVES, supercell
+from rve.geometry import (
+    FOUR_IN_ONE,
+    SIX_IN_ONE,
+    WEAVES,
+    Cell,
+    cauchy_line_load,
+    distance_gradient,
+    find_contacts,
+    moved,
+    pair_maps,
+    reduction,
+    start_pose,
+    supercell,
+)
 from rve.solve import solve_table
 
 

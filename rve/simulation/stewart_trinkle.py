@@ -18,12 +18,10 @@ from rve.equilibrium.interior_point import unit_loads
 from rve.equilibrium.system import Equations, lattice_load
 from rve.geometry.contacts import CellContacts, find_contacts
 from rve.geometry.pose import Pose, moved, reduction, start_pose
-from rve.paper.dynamics import Dynamics, StewartTrinkleOptions
+from rve.simulation.dynamics import Dynamics, StewartTrinkleOptions
 
 ROUND_OFF = 1e-13
 """Rise of the energy in s_hat r1^2 that counts as none: some twenty forces of order 1 times round-offs of a gap."""
-NO_STEP = 1e300
-"""R before the first step."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +50,7 @@ class CellMotion(Rows):
     the last step, in s_hat r1, summed over the copies of a pair in the ten rings; v (n, m_full): ring velocities in
     r1/s and rad/s; h: next time step; time (n,): sum of h in s; steps, rejected (n,): accepted steps and those tried
     with too large h; R (n,) of the last step; status (n,): "" under way, then "converged", "step-limit" or "time-step";
-    history: at the end, only when asked for.
+    history: of the end, if `simulate` keeps it.
     """
 
     row: Index
@@ -73,7 +71,7 @@ class CellMotion(Rows):
 def geometric_stiffness(bend: Array, T: Array, equations: Equations) -> Array:
     """Positive part of the contact curvature bend (n, m, m) = -sum lam d2gap/dq2; T (n, m_full, m) by `reduction`.
 
-    It grows without bound where two minima merge: there the linearised gap holds for a tiny step only.
+    It grows without bound where two minima merge: there the linearised gap is valid for tiny steps only.
     """
     # The positive part depends on what is orthogonal: the kinetic energy decides, it knows no coordinates.
     L = np.linalg.cholesky(np.matmul(T.transpose(0, 2, 1), np.matmul(equations.mass, T)))
@@ -83,7 +81,7 @@ def geometric_stiffness(bend: Array, T: Array, equations: Equations) -> Array:
     return np.matmul(root, root.transpose(0, 2, 1))
 
 
-def advanced(
+def advance(
     motion: CellMotion, equations: Equations, options: StewartTrinkleOptions, dynamics: Dynamics
 ) -> tuple[CellMotion, Flags, Array]:
     """Every case after a step of its length h, whether it is accepted, and the change of the energy, (n,) each.
@@ -129,13 +127,13 @@ def solve_contact_step(A: Array, b: Array, G: Array, gap: Array, k: Array) -> tu
     """
     L, lam, is_solved = np.linalg.cholesky(A), np.zeros(gap.shape), np.ones(len(b), dtype=bool)
     force, ways = np.linalg.solve(L, b[..., None])[..., 0], np.linalg.solve(L, G.transpose(0, 2, 1))
-    for i, there in enumerate(k > 0.0):
-        root = np.sqrt(k[i, there])
+    for i, used in enumerate(k > 0.0):
+        root = np.sqrt(k[i, used])
         if not len(root):  # nnls takes no empty matrix
             continue
         try:
-            matrix = np.vstack([ways[i][:, there], np.diag(1.0 / root)])
-            lam[i, there] = nnls(matrix, -np.concatenate([force[i], root * gap[i, there]]))[0]
+            matrix = np.vstack([ways[i][:, used], np.diag(1.0 / root)])
+            lam[i, used] = nnls(matrix, -np.concatenate([force[i], root * gap[i, used]]))[0]
         except RuntimeError:  # its limit of iterations
             is_solved[i] = False
     balance = b + np.matmul(lam[:, None, :], G)[:, 0]
@@ -149,11 +147,11 @@ def begin(s: Array, equations: Equations, options: StewartTrinkleOptions) -> Cel
     contacts = find_contacts(pose, equations.weave, equations.wire, options.reach)
     zero, none = np.zeros(n), np.zeros(n, dtype=int)
     v, lam = np.zeros((n, len(equations.mass))), np.zeros(contacts.gap.shape)
-    h, R, status = np.full(n, options.h_max), np.full(n, NO_STEP), np.full(n, "", dtype="<U16")
+    h, R, status = np.full(n, options.h_max), np.full(n, np.inf), np.full(n, "", dtype="<U16")
     return CellMotion(np.arange(n), unit_loads(s), pose, contacts, lam, v, h, zero, none, none, R, status)
 
 
-def solve(
+def simulate(
     s: Array, equations: Equations, options: StewartTrinkleOptions | None = None, *, history: bool = False
 ) -> CellMotion:
     """Poses in which the rings come to rest under Cauchy line loads s (n, 3) of any size, only their direction counts.
@@ -163,7 +161,7 @@ def solve(
 
     >>> from rve.geometry.kinematics import cauchy_line_load
     >>> from rve.geometry.weave import FOUR_IN_ONE
-    >>> rest = solve(cauchy_line_load([0.0], [90.0]), Equations.of(FOUR_IN_ONE, 0.1))
+    >>> rest = simulate(cauchy_line_load([0.0], [90.0]), Equations.of(FOUR_IN_ONE, 0.1))
     >>> (5 * rest.pose.lattice[0, :2]).round(3), str(rest.status[0])
     (array([11.   , 12.646]), 'converged')
     """
@@ -174,7 +172,7 @@ def solve(
     while len(motion.row):
         tell(f"motion of {len(s)} cells, {len(motion.row)} under way, step {motion.steps.max() + 1}")
         h = motion.h
-        motion, good, rise = advanced(motion, equations, options, dynamics)
+        motion, good, rise = advance(motion, equations, options, dynamics)
         if history:
             kinetic = dynamics.kinetic_energy(motion.v) * options.load * options.r1_mm**2
             side = (motion.lam[:, ~equations.weave.linked] > 0.0).sum(axis=(1, 2))

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Meta
 
 from rve.common import Array, Index, Typed
-from rve.common.rings import gyration_radius
+from rve.common.cell_fields import gyration_radius
 from rve.equilibrium.system import Equations
 from rve.geometry.contacts import CellContacts
 from rve.geometry.pose import place_maps, turns_of
@@ -32,7 +32,7 @@ class StewartTrinkleOptions(Typed):
     tolerance: R of eq. (9) at which a case has converged; max_steps: accepted steps per case.
     restore: growth of the step after an accepted one; reach: contacts with a larger gap in r1 are ignored.
     largest_move: of a ring per step, in r1 and rad, so that rings do not pass through each other.
-    curvature: the step holds the curvature of its contacts (`geometric_stiffness`) beside their linearised gaps.
+    curvature: the step includes the curvature of its contacts (`geometric_stiffness`).
     Without it, as eq. (6) is printed, some cases chatter between merging minima and end with the status "time-step".
     """
 

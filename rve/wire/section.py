@@ -1,4 +1,4 @@
-"""The wire of a ring: how a section of it gives under its forces, and the stress in its skin.
+"""The wire of a ring: flexibility of a section, and the stress in its skin.
 
 Section forces are those of the part ahead (at larger angles) on the part behind, at the centre of the wire, in axes r
 (outwards), t (along the ring), z (its normal): force (V_r, N, V_z) in N, moment (M_r, M_t, M_z) in N mm; M_z > 0 bends
@@ -14,7 +14,7 @@ from rve.common import Array
 
 @dataclass(frozen=True)
 class Section:
-    """How much one mm of wire gives: strain energy per length is half the square of the section forces with these.
+    """Flexibility of one mm of wire: strain energy per length is half the square of the section forces with these.
 
     radius: of the centre circle, mm. bending (M_z), out_of_plane (M_r), torsion (M_t) in 1/(N mm2); axial (N), shear
     (V_r and V_z) in 1/N; coupling (N with M_z) in 1/(N mm).

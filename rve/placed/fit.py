@@ -19,7 +19,7 @@ NEAR = 0.5
 
 @checked
 def axes_of_weave(cell: Cell, hang_deg: float) -> Array:
-    """Matrix (2, 2) from the weave's own axes to those of the curtain; a reflection if the grain is x."""
+    """Matrix (2, 2) from the axes of the weave to those of the curtain; a reflection if the grain is x."""
     angle = np.radians(hang_deg)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     if hang_deg % 90.0 == 0.0:
@@ -28,20 +28,20 @@ def axes_of_weave(cell: Cell, hang_deg: float) -> Array:
 
 
 def shares(pose: Pose) -> Array:
-    """Centres of rings as shares (n, K, 2) of the two lattice vectors; those of the first class are none."""
+    """Centres of rings as shares (n, K, 2) of the two lattice vectors; zero for the first class."""
     A = np.stack([pose.a1, pose.a2], axis=2)
     return np.asarray(np.linalg.solve(A[:, None], pose.centres[..., None])[..., 0])
 
 
 @checked
 def reference_shares(cell: Cell) -> Array:
-    """Shares (K, 2) of the sides of the reference cell in the centres of its rings."""
+    """Centres of the rings of the reference cell as shares (K, 2) of its sides."""
     return np.asarray(shares(start_pose(cell.weave, 1))[0])
 
 
 @checked
 def offsets(pose: Pose, cell: Cell) -> Array:
-    """How far in mm the rings of poses are from their lattice points (n, K, 2), in weave axes."""
+    """Distances (n, K, 2) in mm of the rings of poses from their reference lattice points, in weave axes."""
     off = shares(pose) - reference_shares(cell)
     return np.asarray(cell.r1 * (off[..., :1] * pose.a1[:, None] + off[..., 1:] * pose.a2[:, None]))
 
@@ -72,14 +72,14 @@ def neighbours(weave: Weave, index: Index) -> Iterator[tuple[int, Index, Index]]
     for pair, (a, b, i, j) in enumerate(weave.pairs):
         first = np.flatnonzero(index[:, 0] == a)
         to = index[first, 1:] + (i, j) - low
-        there = ((to >= 0) & (to < shape[1:])).all(axis=1)
-        second = table[b, to[there, 0], to[there, 1]]
-        yield pair, first[there][second >= 0], second[second >= 0]
+        is_inside = ((to >= 0) & (to < shape[1:])).all(axis=1)
+        second = table[b, to[is_inside, 0], to[is_inside, 1]]
+        yield pair, first[is_inside][second >= 0], second[second >= 0]
 
 
 @checked
 def fit_rings(index: Index, centre: Array, normal: Array, cell: Cell) -> Fit:
-    """Gaps between all rings that may touch, and whether the pairs that the weave links interlink, as placed.
+    """Gaps between all rings that may touch, and whether the linked pairs of the weave interlink.
 
     index (n, 3): class and lattice point i, j of each ring; centre (n, 3) in mm; unit normal (n, 3).
     """
@@ -87,14 +87,14 @@ def fit_rings(index: Index, centre: Array, normal: Array, cell: Cell) -> Fit:
     links, linked, reach = 0, 0, 2.0 * cell.wire + NEAR
     for pair, first, second in neighbours(cell.weave, index):
         for k in range(0, len(first), _CHUNK):
-            one, two = first[k : k + _CHUNK], second[k : k + _CHUNK]
-            d = (centre[two] - centre[one]) / cell.r1
+            a, b = first[k : k + _CHUNK], second[k : k + _CHUNK]
+            d = (centre[b] - centre[a]) / cell.r1
             near = np.flatnonzero(dot(d, d) < (2.0 + reach) ** 2)
-            found = local_minima(d[near], normal[one[near]], normal[two[near]], reach=reach)
-            for rings in (one, two):
-                np.minimum.at(gap, rings[near[found.pair]], cell.r1 * found.distance - 2.0 * cell.r2)
+            minima = local_minima(d[near], normal[a[near]], normal[b[near]], reach=reach)
+            for rings in (a, b):
+                np.minimum.at(gap, rings[near[minima.pair]], cell.r1 * minima.distance - 2.0 * cell.r2)
             if cell.weave.linked[pair]:
-                holds = are_linked(d, normal[one], normal[two])
-                links, linked = links + len(holds), linked + int(holds.sum())
-                broken[one[~holds]] = broken[two[~holds]] = True
+                is_linked = are_linked(d, normal[a], normal[b])
+                links, linked = links + len(is_linked), linked + int(is_linked.sum())
+                broken[a[~is_linked]] = broken[b[~is_linked]] = True
     return Fit(gap, links, linked, broken)

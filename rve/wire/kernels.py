@@ -2,15 +2,13 @@
 
 A point force is a Fourier series along the ring; every order n >= 2 is self-balanced, and the sums are closed. The
 rigid part of a force is spread over the ring in the orders 0 and 1 and drops out where the forces of a ring balance.
-Forces (..., 3) are in the local axes r, t, z of their point; section forces are ordered as in `rve.ring.section`.
+Forces (..., 3) are in the local axes r, t, z of their point; section forces are ordered as in `rve.wire.section`.
 """
 
 import numpy as np
 
 from rve.common import Array
-from rve.ring.section import Section
-
-_W = 0.5 / np.pi
+from rve.wire.section import Section
 
 
 def sums(phi: Array) -> tuple[Array, Array, Array, Array]:
@@ -49,12 +47,12 @@ def _low_orders(section: Section) -> tuple[float, float, float, float]:
     """The self-balanced orders 0 and 1 of a unit force, 0 for bending alone: uniform M_z with the uniform N = 1/(2 pi)
     of a radial force, amplitude of V_r in order 1, and the parts of the flexibility of both orders.
     """
-    s, R = section, section.radius
-    moment = -s.coupling / s.bending * _W
+    s, R, W = section, section.radius, 0.5 / np.pi
+    moment = -s.coupling / s.bending * W
     stiff = s.axial + s.shear + s.bending * R**2 - 2.0 * s.coupling * R
-    shear = -_W * (s.axial - s.coupling * R) / stiff
-    energy_0 = s.axial * _W**2 + 2.0 * s.coupling * _W * moment + s.bending * moment**2
-    N = shear + _W
+    shear = -W * (s.axial - s.coupling * R) / stiff
+    energy_0 = s.axial * W**2 + 2.0 * s.coupling * W * moment + s.bending * moment**2
+    N = shear + W
     energy_1 = s.axial * N**2 + s.shear * shear**2 + s.bending * (R * shear) ** 2 - 2.0 * s.coupling * R * shear * N
     return moment, shear, 2.0 * np.pi * R * energy_0, np.pi * R * energy_1
 
@@ -62,7 +60,7 @@ def _low_orders(section: Section) -> tuple[float, float, float, float]:
 def internal_forces(phi: Array, forces: Array, at: Array, section: Section, joint: Array | None = None) -> Array:
     """Section forces (..., k, 6) at the angles at (..., k) under forces (..., m, 3) at the angles phi (..., m).
 
-    Where the forces of a ring do not balance, what is missing is spread over it. At a point force V_r, V_z and N are
+    Forces that do not balance are balanced by a load spread over the ring. At a point force V_r, V_z and N are
     those just ahead of it. joint (...): the angle at which a butted ring is open, its ends free; None for a welded one.
 
     >>> thin = Section(radius=10.0, bending=1.0, out_of_plane=1.0, torsion=1.3)
@@ -71,20 +69,21 @@ def internal_forces(phi: Array, forces: Array, at: Array, section: Section, join
     >>> float((at_load[5] * np.pi / 10.0).round(12))
     1.0
     """
-    R, (moment, one, _, _) = section.radius, _low_orders(section)
+    R, (moment, shear, _, _) = section.radius, _low_orders(section)
+    W = 0.5 / np.pi
     angle = at[..., :, None] - phi[..., None, :]
     c, s, (cos_x, sin_x, sin_nx, sin_n) = np.cos(angle), np.sin(angle), sums(angle)
     radial, along, axial = (forces[..., None, :, i] for i in range(3))
-    N1 = one + _W
-    V_r = radial * (one * s - sin_x / np.pi) + along * (one * c + cos_x / np.pi)
-    N = radial * (_W + N1 * c - cos_x / np.pi) + along * (-N1 * s - sin_x / np.pi)
+    N1 = shear + W
+    V_r = radial * (shear * s - sin_x / np.pi) + along * (shear * c + cos_x / np.pi)
+    N = radial * (W + N1 * c - cos_x / np.pi) + along * (-N1 * s - sin_x / np.pi)
     V_z, M_r, M_t = axial * (-sin_n / np.pi), axial * (-R / np.pi * cos_x), axial * (R / np.pi * sin_nx)
-    M_z = radial * (moment - R * one * c + R / np.pi * cos_x) + along * (R * one * s + R / np.pi * sin_nx)
+    M_z = radial * (moment - R * shear * c + R / np.pi * cos_x) + along * (R * shear * s + R / np.pi * sin_nx)
     closed = np.stack([q.sum(axis=-1) for q in (V_r, N, V_z, M_r, M_t, M_z)], axis=-1)
     if joint is None:
         return closed
-    there = internal_forces(phi, forces, joint[..., None], section)[..., 0, :]
-    x = -np.linalg.solve(self_stress(joint, R), there[..., None])[..., 0]
+    at_joint = internal_forces(phi, forces, joint[..., None], section)[..., 0, :]
+    x = -np.linalg.solve(self_stress(joint, R), at_joint[..., None])[..., 0]
     return np.asarray(closed + np.einsum("...kij,...j->...ki", self_stress(at, R), x))
 
 
@@ -144,7 +143,7 @@ def self_stress(at: Array, radius: float) -> Array:
 
 
 def section_matrix(section: Section) -> Array:
-    """What one mm of wire gives, (6, 6), in the order of the section forces."""
+    """Flexibility (6, 6) of one mm of wire, in the order of the section forces."""
     s = section
     S = np.diag([s.shear, s.axial, s.shear, s.out_of_plane, s.torsion, s.bending])
     S[1, 5] = S[5, 1] = s.coupling

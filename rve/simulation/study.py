@@ -1,4 +1,4 @@
-"""The paper's study for our implementation: 190 load cases by its own scheme, and its published figures beside ours."""
+"""The paper's study for our implementation: 190 load cases by its scheme, compared with its published figures."""
 
 import time
 from collections.abc import Iterator
@@ -15,9 +15,9 @@ from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, lattice_strain
 from rve.geometry.pose import strain_of
-from rve.paper.dynamics import StewartTrinkleOptions
-from rve.paper.stewart_trinkle import CellMotion, History, solve
 from rve.plots import draw_case
+from rve.simulation.dynamics import StewartTrinkleOptions
+from rve.simulation.stewart_trinkle import CellMotion, History, simulate
 from rve.solve import solve_table
 from rve.table import StrainTable
 
@@ -58,16 +58,16 @@ class Study:
         return rows, lattice_strain(self.history.lattice[rows], self.sides)[0]
 
     def side_contact_times(self, case: int) -> tuple[float, float]:
-        """Times in s from which, for good, one and all of the final contacts between rings that do not interlink press;
-        nan without such a contact.
+        """Times in s from which the first, and all, of the final contacts between rings that do not interlink press to
+        the end; nan without such a contact.
         """
         rows = self.history.case == case
         side, times = self.history.side[rows], self.history.time[rows]
         if not side[-1]:
             return float("nan"), float("nan")
         # from the step after the last one in which they did not press
-        one, all_ = (np.append(0, np.flatnonzero(~pressed) + 1)[-1] for pressed in (side > 0, side == side[-1]))
-        return float(times[one]), float(times[all_])
+        first, last = (np.append(0, np.flatnonzero(~pressed) + 1)[-1] for pressed in (side > 0, side == side[-1]))
+        return float(times[first]), float(times[last])
 
 
 def solve_study(alpha_deg: ArrayLike, beta_deg: ArrayLike, options: StewartTrinkleOptions | None = None) -> Study:
@@ -77,7 +77,7 @@ def solve_study(alpha_deg: ArrayLike, beta_deg: ArrayLike, options: StewartTrink
     table = solve_table(cell, (alpha_deg, beta_deg))
     between = time.perf_counter()
     s = cauchy_line_load(table.alpha_deg, table.beta_deg)
-    rest = solve(s, Equations.of(cell.weave, cell.wire), options, history=True)
+    rest = simulate(s, Equations.of(cell.weave, cell.wire), options, history=True)
     ended = time.perf_counter()
     assert rest.history is not None
     sides = table.provenance["b_x_mm"] / cell.r1, table.provenance["b_y_mm"] / cell.r1
@@ -85,7 +85,7 @@ def solve_study(alpha_deg: ArrayLike, beta_deg: ArrayLike, options: StewartTrink
 
 
 def comparison(study: Study) -> list[tuple[str, str, str, str]]:
-    """The paper's published figures beside ours: rows of quantity, paper, ours, reason for a difference."""
+    """The paper's published figures compared with ours: rows of quantity, paper, ours, reason for a difference."""
     rest, steps, sums = study.rest, study.rest.steps, study.rest.time
     order = np.argsort(steps)
 
@@ -129,7 +129,7 @@ def markdown(rows: list[tuple[str, str, str, str]]) -> str:
     return "\n".join(head + [f"| {' | '.join(row)} |" for row in rows]) + "\n"
 
 
-def run(
+def run_study(
     out_dir: AnyPath,
     alpha_deg: ArrayLike | None = None,
     beta_deg: ArrayLike | None = None,
@@ -209,8 +209,8 @@ def strains(study: Study) -> Any:
         ax.plot(table.beta_deg[free], table.E[free, k], "x", color="black", ms=7)
         ax.set(xlabel="ratio angle beta, degrees", ylabel=NAMES[k])
     axes[-1].legend(title="alpha,\ndegrees", fontsize=10, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
-    told = "lines: direct solver; circles: paper's scheme; crosses: strain not unique (limit from inside)"
-    fig.suptitle(told, size=11)
+    key = "lines: direct solver; circles: paper's scheme; crosses: strain not unique (limit from inside)"
+    fig.suptitle(key, size=11)
     return fig
 
 
@@ -239,12 +239,12 @@ def clock(study: Study) -> Any:
 
 def progress_of_two(study: Study) -> Any:
     """Fig. 17: strain, R and kinetic energy against time for cases 1 and 190; None if the study has neither."""
-    known = study.kinked
-    if not known:
+    cases = study.kinked
+    if not cases:
         return None
-    fig, h = new_figure(5.2 * len(known), 6.4), study.history
-    axes = fig.subplots(2, len(known), squeeze=False, sharex="col")
-    for (upper, lower), (pair, case) in zip(axes.T, known, strict=True):
+    fig, h = new_figure(5.2 * len(cases), 6.4), study.history
+    axes = fig.subplots(2, len(cases), squeeze=False, sharex="col")
+    for (upper, lower), (pair, case) in zip(axes.T, cases, strict=True):
         rows, E = study.path(case)
         for k, values in enumerate(E.T):
             upper.plot(h.time[rows], values, color=COLOURS[k], label=NAMES[k])
@@ -258,8 +258,8 @@ def progress_of_two(study: Study) -> Any:
             ax.legend(fontsize=10)
         upper.set(ylabel="strain", title=f"alpha = {pair[0]:g} deg, beta = {pair[1]:g} deg")
         lower.set(xlabel="time, s", ylabel="R, kinetic energy")
-    told = "from here on one, and all, of the final contacts\nbetween rings that do not interlink press"
-    fig.suptitle(f"grey lines: {told}", size=11)
+    key = "from here on one, and all, of the final contacts\nbetween rings that do not interlink press"
+    fig.suptitle(f"grey lines: {key}", size=11)
     return fig
 
 

@@ -1,4 +1,4 @@
-"""Contact forces of rings under the line load of a curtain: N, where, and that they add up to the line load."""
+"""Contact forces of the rings of a cell under the line load of a curtain, and their virial."""
 
 from dataclasses import dataclass, replace
 
@@ -14,9 +14,6 @@ from rve.geometry.kinematics import cauchy_line_load, load_angles
 from rve.geometry.pose import pair_geometry, tiled
 from rve.geometry.weave import supercell
 from rve.solve import locked_block, locked_states
-
-_CENTRING = 4
-"""Steps of Newton's method from forces of three digits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,21 +36,21 @@ class CellForces(ByValue):
 
     @property
     def virial(self) -> Array:
-        """Line load (3,) in N/mm that the contacts add up to: - sum of force x branch over the area of the cell."""
+        """Line load (3,) in N/mm of the contacts: - sum of force x branch over the area of the cell."""
         pull = -self.force[:, None] * self.normal[:, :2]
         sums = pull.T @ self.branch[:, :2] / self.area
         return np.array([sums[0, 0], 0.5 * (sums[0, 1] + sums[1, 0]), sums[1, 1]])
 
 
 def central_forces(states: LockedStates) -> Array:
-    """Contact forces (n, p, SLOTS) of locked states that balance every ring, also across the plane, and have the
-    largest product: the end of the central path, of which gaps rounded to 1e-16 leave three digits."""
+    """Contact forces (n, p, SLOTS) of locked states that balance every ring, also across the plane, with the largest
+    product: the end of the central path, of which gaps rounded to 1e-16 determine three digits only."""
     space, lam = supercell(states.cell.weave, 1, 1, "space"), states.found.lam.copy()
     equations, pose = Equations.of(space, states.cell.wire), tiled(states.pose, space)
     system = equations.assemble(pose, states.found.contacts, lam, states.s)
     for i in np.flatnonzero(states.found.status == "converged"):
         works = lam[i] > 1e-7
-        for _ in range(_CENTRING):
+        for _ in range(4):  # Newton's method from three digits
             W = lam[i][works][:, None] * system.G[i][works.ravel()]
             lam[i][works] *= 2.0 + np.linalg.lstsq(W.T, -system.f[i] - 2.0 * W.sum(axis=0), rcond=1e-9)[0]
     return lam
@@ -107,8 +104,8 @@ def largest_forces(s: Array, cell: Cell, step: float = 2.0) -> Array:
     keys, back = np.unique(rounded, axis=0, return_inverse=True)
     states = locked_states(keys[:, 0], keys[:, 1], replace(cell, grain="y"), DirectOptions())
     per_pair, pairs = central_forces(states).max(axis=2), states.cell.weave.pairs[:, :2]
-    mine = [per_pair[:, (pairs == ring).any(axis=1)].max(axis=1) for ring in range(cell.weave.classes)]
-    unit = np.where((states.found.status == "converged")[:, None], np.stack(mine, axis=1), np.nan)
+    per_ring = [per_pair[:, (pairs == ring).any(axis=1)].max(axis=1) for ring in range(cell.weave.classes)]
+    unit = np.where((states.found.status == "converged")[:, None], np.stack(per_ring, axis=1), np.nan)
     good = np.flatnonzero(np.isfinite(unit).all(axis=1))
     if not len(good):
         raise NotConverged(f"contact forces: none of {len(keys)} load directions of the curtain was solved")

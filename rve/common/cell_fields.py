@@ -54,18 +54,17 @@ def check_rings(table: Mapping[str, Any], where: object) -> dict[str, float]:
     >>> check_rings({"r1_mm": 5, "r2_mm": 0.5, "weave": "4-in-1"}, "law.json: cell")
     {'r1_mm': 5.0, 'r2_mm': 0.5}
     """
-    found = {key: read_entry(table, key, kind, str(where)) for key, kind in RING_TYPES.items() if key in table}
-    if not {"r1_mm", "r2_mm"} <= found.keys():
-        return found
-    r1, r2 = found["r1_mm"], found["r2_mm"]
+    values = {key: read_entry(table, key, kind, str(where)) for key, kind in RING_TYPES.items() if key in table}
+    if not {"r1_mm", "r2_mm"} <= values.keys():
+        return values
+    r1, r2 = values["r1_mm"], values["r2_mm"]
     if not r2 < r1:
         raise InputError(f"{where} r2_mm = {r2:g}: must be less than r1_mm = {r1:g}")
-    for key in {"b_x_mm", "b_y_mm"} & found.keys():
-        if not r2 <= found[key] <= 8.0 * r1:
-            raise InputError(
-                f"{where} {key} = {found[key]:g}: must be from r2_mm = {r2:g} to 8 r1_mm = {8.0 * r1:g} for these rings"
-            )
-    return found
+    for key in {"b_x_mm", "b_y_mm"} & values.keys():
+        if not r2 <= values[key] <= 8.0 * r1:
+            limits = f"from r2_mm = {r2:g} to 8 r1_mm = {8.0 * r1:g}"
+            raise InputError(f"{where} {key} = {values[key]:g}: must be {limits} for these rings")
+    return values
 
 
 def ring_volume(r1_mm: float, r2_mm: float) -> float:

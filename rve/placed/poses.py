@@ -28,15 +28,11 @@ from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.kinematics import lattice_strain
 from rve.geometry.pose import Pose, mirrored
 from rve.geometry.ring_pair import cross, dot, tangent_frame
+from rve.placed.fit import shares
 from rve.solve import locked_block, reference_sides
-from rve.strained.placed import shares
 
-_BLOCK, _MERGE = 1024, 1e-6
-"""Strains solved together: larger blocks need more memory, smaller ones more time; and differences that are none."""
-_TOLERANCE = 1e-3
-"""Strain by which a pose may miss its target and still has "met" it; the law's own error is 4e-4."""
-_ALPHA, _BETA = np.arange(-45.0, 31.0, 15.0), np.array([2.0, 10.0, 20.0, 30.0, 45.0, 60.0, 70.0, 80.0, 88.0])
-"""Angles of the locked states that arrangements are interpolated between; more states cost time once per curtain."""
+_BLOCK = 1024
+"""Strains solved together: larger blocks take more memory, smaller ones more time."""
 POSE_MEANINGS = {
     "met": "the rings have the strain of the curtain, within the tolerance",
     "beyond": "the curtain is stretched further than rigid rings reach; the nearest pose is drawn",
@@ -44,15 +40,31 @@ POSE_MEANINGS = {
     "stalled": "the springs did not settle; an admissible pose from on the way is drawn",
 }
 """Statuses of poses, and what they mean."""
-_LADDER = (
-    (1e-2, 3e-1, 3e-2, 1e-3),
-    (1e-2, 1e-2, 1e-3, 1e-5),
-    (1e-2, 1e-4, 1e-5, 1e-7),
-    (1e-3, 1e-5, 1e-7, 1e-9),
-    (1e-3, 1e-6, 1e-9, 1e-11),
-)
-"""Stages, each started from the one before: the weights of a fold and of the arrangement against strain that rings fall
-short of, and the first and last complementarity. Stiff springs come first: with weak ones some cells lock."""
+
+
+@dataclass(frozen=True)
+class PoseOptions:
+    """Numbers of the nearest poses.
+
+    tolerance: strain by which a pose with status "met" may miss its target; the error of laws is 4e-4. alpha_deg,
+    beta_deg: loads of the locked states that arrangements are interpolated between; more take time once a curtain.
+    stages: each from the pose of the one before, weights of a fold and of the arrangement relative to a deficit of
+    strain, first and last complementarity. Stiff springs come first: with weak ones, or fewer stages, some cells lock.
+    """
+
+    tolerance: float = 1e-3
+    alpha_deg: tuple[float, ...] = (-45.0, -30.0, -15.0, 0.0, 15.0, 30.0)
+    beta_deg: tuple[float, ...] = (2.0, 10.0, 20.0, 30.0, 45.0, 60.0, 70.0, 80.0, 88.0)
+    stages: tuple[tuple[float, float, float, float], ...] = (
+        (1e-2, 3e-1, 3e-2, 1e-3),
+        (1e-2, 1e-2, 1e-3, 1e-5),
+        (1e-2, 1e-4, 1e-5, 1e-7),
+        (1e-3, 1e-5, 1e-7, 1e-9),
+        (1e-3, 1e-6, 1e-9, 1e-11),
+    )
+
+
+OPTIONS = PoseOptions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +76,8 @@ class LockedArrangements(ByValue):
     sides: tuple[float, float]
 
     def arrangement(self, E: Array) -> Array:
-        """Rows (n, 3 + 2 (K - 1) + 3 K) of the springs that pull to strains E (n, 3) and the arrangement there: E*, of
-        every class but the first the shares (i, j) of the lattice vectors, and the normal of every class."""
+        """Rows (n, 3 + 2 (K - 1) + 3 K) of springs that pull to strains E (n, 3) and the arrangement at them: E*, the
+        shares (i, j) of the lattice vectors of every class but the first, the normal of every class."""
         square = (self.E[None] - E[:, None]) ** 2 @ WEIGHT
         weight = 1.0 / (square + 1e-16) ** 2
         weight /= weight.sum(axis=1, keepdims=True)
@@ -93,66 +105,70 @@ class NearestPoses(Rows):
 
 
 @checked
-def locked_arrangements(cell: Cell) -> LockedArrangements:
+def locked_arrangements(cell: Cell, options: PoseOptions = OPTIONS) -> LockedArrangements:
     """Locked states under loads in all directions, to interpolate between; NotConverged if none is found."""
-    found = locked_block(*product(_ALPHA, _BETA), replace(cell, grain="y"), DirectOptions()).found
-    good = np.flatnonzero(found.status == "converged")
+    loads = product(np.array(options.alpha_deg), np.array(options.beta_deg))
+    equilibrium = locked_block(*loads, replace(cell, grain="y"), DirectOptions()).found
+    good = np.flatnonzero(equilibrium.status == "converged")
     if not len(good):
         raise NotConverged(f"r1 = {cell.r1:g}, r2 = {cell.r2:g}: no locked state was found to compare the rings with")
     sides = weave_sides(cell, reference_sides(cell, DirectOptions()))
-    pose = found.pose.take(good)
+    pose = equilibrium.pose.take(good)
     return LockedArrangements(pose, lattice_strain(pose.lattice, sides)[0], sides)
 
 
 @checked
-def nearest_poses(E: Array, cell: Cell, states: LockedArrangements | None = None) -> NearestPoses:
-    """Admissible poses of the cell nearest to the strains E (n, 3), in weave axes; `states` if they are known already.
+def nearest_poses(
+    E: Array, cell: Cell, states: LockedArrangements | None = None, options: PoseOptions = OPTIONS
+) -> NearestPoses:
+    """Admissible poses of the cell nearest to the strains E (n, 3), in weave axes; states: as of `locked_arrangements`.
 
-    >>> import numpy as np
-    >>> found = nearest_poses(np.array([[0.0, 0.0, 0.0], [0.75, 0.0, -0.5]]), Cell())
-    >>> found.status.tolist(), bool(found.gap_mm.min() >= 0.0)
+    >>> poses = nearest_poses(np.array([[0.0, 0.0, 0.0], [0.75, 0.0, -0.5]]), Cell())
+    >>> poses.status.tolist(), bool(poses.gap_mm.min() >= 0.0)
     (['met', 'folded'], True)
     """
-    states = states or locked_arrangements(cell)
+    states = states or locked_arrangements(cell, options)
     E = np.asarray(E, dtype=float).reshape(-1, 3)
     # A symmetric curtain has every strain twice: a mirrored weave is solved for E12 >= 0 only.
     flip = (E[:, 1] < 0.0) & cell.weave.has_images
     upright = np.where(flip[:, None], E * np.array([1.0, -1.0, 1.0]), E)
-    _, first, back = np.unique(np.round(upright / _MERGE), axis=0, return_index=True, return_inverse=True)
+    _, first, back = np.unique(np.round(upright, 6), axis=0, return_index=True, return_inverse=True)
     targets = upright[first]
     blocks = []
     for i in range(0, len(targets), _BLOCK):
         with part_of(f"rings in strain {i + 1} of {len(targets)}"):
-            blocks.append(_settled(targets[i : i + _BLOCK], cell, states))
-    poses, gaps, settled = zip(*blocks, strict=True)
-    pose, gap, known = poses[0].join(poses[1:]), np.concatenate(gaps), np.concatenate(settled)
+            blocks.append(_follow_stages(targets[i : i + _BLOCK], cell, states, options))
+    poses, gaps, flags = zip(*blocks, strict=True)
+    pose, gap, is_settled = poses[0].join(poses[1:]), np.concatenate(gaps), np.concatenate(flags)
     rings = lattice_strain(pose.lattice, states.sides)[0]
     low, high = eigenvalues(rings - targets)
     short, fold = np.maximum(-low, 0.0), np.maximum(high, 0.0)
-    far = np.where(fold > _TOLERANCE, "folded", "beyond")
-    status = np.where(np.maximum(short, fold) <= _TOLERANCE, "met", np.where(known, far, "stalled"))
-    found = NearestPoses(pose, rings, short, fold, cell.r1 * gap, status, len(targets)).take(back.ravel())
+    far = np.where(fold > options.tolerance, "folded", "beyond")
+    is_met = np.maximum(short, fold) <= options.tolerance
+    status = np.where(is_met, "met", np.where(is_settled, far, "stalled"))
+    out = NearestPoses(pose, rings, short, fold, cell.r1 * gap, status, len(targets)).take(back.ravel())
     rows = np.flatnonzero(flip)
-    found.E[rows, 1] *= -1.0
-    return replace(found, pose=found.pose.put(rows, mirrored(found.pose.take(rows))))
+    out.E[rows, 1] *= -1.0
+    return replace(out, pose=out.pose.put(rows, mirrored(out.pose.take(rows))))
 
 
-def _settled(E: Array, cell: Cell, states: LockedArrangements) -> tuple[Pose, Array, Flags]:
-    """Poses of a block of strains, their smallest gaps, and whether one of the last three stages has converged: at the
-    edge of what rings reach the end of the path may be degenerate. A stage that stalls keeps the pose before it.
+def _follow_stages(E: Array, cell: Cell, states: LockedArrangements, options: PoseOptions) -> tuple[Pose, Array, Flags]:
+    """Poses of a block of strains, their smallest gaps, and whether one of the last three stages has converged.
+
+    At the limit of admissible strains the end of the path may be degenerate. A stage that stalls keeps its start.
     """
-    rows = states.arrangement(E)
+    rows, count = states.arrangement(E), len(options.stages)
     start, good = None, np.zeros(len(E), dtype=bool)
-    for stage, (fold, weak, first, last) in enumerate(_LADDER):
+    for stage, (fold, weak, first, last) in enumerate(options.stages):
         springs = Spring(states.sides, fold, weak)
         equations = replace(Equations.of(cell.weave, cell.wire, load=springs), is_relative=False)
         quick = DirectOptions(tolerance=max(last, 1e-9), mu_start=first, mu_end=last, attempts=1, max_iterations=50)
-        with part_of(f"stage {stage + 1} of {len(_LADDER)}"):
-            found = solve_equilibrium(rows, equations, quick, start)
-        start = found.pose
-        if stage >= len(_LADDER) - 3:
-            good |= found.status == "converged"
-    return found.pose, equations.contacts(found.pose).min_gap, good
+        with part_of(f"stage {stage + 1} of {count}"):
+            end = solve_equilibrium(rows, equations, quick, start)
+        start = end.pose
+        if stage >= count - 3:
+            good |= end.status == "converged"
+    return end.pose, equations.contacts(end.pose).min_gap, good
 
 
 @dataclass(frozen=True)

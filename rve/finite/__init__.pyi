@@ -1,0 +1,13 @@
+from .layout import RingLayout as RingLayout
+from .layout import cell_of_sides as cell_of_sides
+from .problem import FiniteOptions as FiniteOptions
+from .problem import HalfSpace as HalfSpace
+from .problem import RoundBody as RoundBody
+from .solution import FiniteSolution as FiniteSolution
+from .solution import RingContacts as RingContacts
+from .solve import FiniteMesh as FiniteMesh
+from .step import RingStep as RingStep
+from .step import ring_places as ring_places
+from .step import slack_rings as slack_rings
+from .step import step_rings as step_rings
+from .step import with_bodies as with_bodies

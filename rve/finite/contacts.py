@@ -1,0 +1,427 @@
+"""Contacts of a finite mesh: every local minimum of the distance of the centre circles of every near pair of rings.
+
+Lengths are in units of r1. Each pair has the key a n + b with a < b, by which its data are matched between poses.
+
+Half-spaces and balls are further rows of `MeshPose`. The lowest point of a ring over the plane m.(x - p) = 0 has the
+height h - s, with h = m.(c - p) and s the sine of the angle between its normal n and m. p lies r2 off the half-space,
+so that wires are bare lines. s has a kink where a ring lies flat on the plane. The constraint is g = h - s^2/h >= 0 for
+h > 0, which is equivalent and smooth; (h - s) <= g <= 2 (h - s).
+
+The point of a ring nearest to a ball of radius R, r2 included, whose centre is at d from that of the ring, has the
+distance D with D^2 - R^2 = A - 2 s, A = d.d + 1 - R^2 and s = |d x n|. The constraint g = (A - 4 s^2/A) / (2 R) >= 0
+for A > 0 is equivalent to D >= R and smooth also where a ring lies around the top of a ball. Both are
+
+    g = h - b/h,  b = y.y - (n.y)^2,  y = -m and h = y.d of planes, y = d/R and h = A/(2 R) of balls,
+
+and a half-space is a ball of infinite radius.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from rve.common import Array, Flags, Index, Rows
+from rve.geometry.ring_pair import (
+    Minima,
+    are_linked,
+    cross,
+    dot,
+    followed_minima,
+    foot_on_circle,
+    local_minima,
+    norm,
+    rotation,
+    tangent_frame,
+    turned,
+)
+
+_CHUNK = 4096
+"""Pairs sampled together: their samples stay in the cache of a processor."""
+
+
+@dataclass(frozen=True)
+class SoftMinima:
+    """Which minima of distances are soft, so that they may split or merge in a step, and points beside them.
+
+    curvature, flatness: soft are minima of less curvature whose stiffness^2 is less than `flatness` times their gap.
+    growth: guard points are where the gap has grown by this multiple of itself. outer, count: fixed points reach to
+    where it has grown by `outer` times itself; so many leave it at most 5 % less halfway between two of them.
+    """
+
+    curvature: float = 0.3
+    flatness: float = 100.0
+    growth: float = 3.0
+    outer: float = 30.0
+    count: int = 26
+
+    def angles(self, minima: Minima, wire: float, growth: float) -> tuple[Flags, Array]:
+        """Which minima (m,) are soft, and the angles (m,) from them at which the gap has grown by `growth` times."""
+        gap = np.maximum(minima.distance - 2.0 * wire, 1e-13)
+        stiff = np.maximum(minima.curvature, 0.0) / minima.distance
+        soft = (minima.curvature < self.curvature) & (stiff**2 < self.flatness * gap)
+        return soft, np.sqrt(np.sqrt(stiff * stiff + 4.0 * growth * gap) - stiff)
+
+
+SOFT = SoftMinima()
+
+
+@dataclass(frozen=True, eq=False)
+class MeshPose:
+    """Positions of rings in units of r1: centres x (n, 3) and unit normals (n, 3).
+
+    The last `walls` rows are half-spaces: a point of the plane and the unit normal, towards the rings; or balls: their
+    centres. radius (walls,): that of balls, inf for half-spaces.
+    """
+
+    x: Array
+    normal: Array
+    radius: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def walls(self) -> int:
+        """How many rows are half-spaces and balls."""
+        return len(self.radius)
+
+    @property
+    def rings(self) -> int:
+        """How many rows are rings."""
+        return len(self.x) - self.walls
+
+    def moved(self, q: Array) -> MeshPose:
+        """Rings after the step q (n, 5): centres move by the first three, normals turn by the last two."""
+        return MeshPose(self.x + q[:, :3], turned(self.normal, q[:, 3:]), self.radius)
+
+
+@dataclass(frozen=True, eq=False)
+class MeshContacts:
+    """Contacts of a pose; wire = r2/r1; reach: the gap up to which contacts count.
+
+    a, b (p,): near pairs, sorted by key; key (p,); minima: their local minima, sorted by pair, `minima.pair` a row of a
+    and b; fixed (m,): contacts at a fixed point of ring a, and those with walls; gap (m,); deepest (p,): smallest gap
+    of each pair, inf beyond the reach. Pairs whose b is not a ring are those with half-spaces and balls.
+    """
+
+    pose: MeshPose
+    wire: float
+    reach: float
+    key: Index
+    minima: Minima
+    fixed: Flags
+    gap: Array
+    deepest: Array
+    a: Index
+    b: Index
+
+    @property
+    def is_wall(self) -> Flags:
+        """Pairs (p,) with half-spaces and balls."""
+        return np.asarray(self.b >= self.pose.rings)
+
+    @property
+    def at_wall(self) -> Flags:
+        """Contacts (m,) with half-spaces and balls."""
+        return np.asarray(self.is_wall[self.minima.pair])
+
+    @property
+    def clearance(self) -> Array:
+        """Relative travel (p,) of a pair beyond which a step is not safe; inf for half-spaces.
+
+        Wires come no nearer than r1 to the centre of a ball that fits through no ring: it cannot slip through the mesh.
+        """
+        distance = np.minimum(self.deepest, self.reach) + 4.0 * self.wire
+        R, wall = self.pose.radius, self.is_wall
+        distance[wall] = (2.0 * R - np.where(R > 1.0, 2.0, 0.0))[self.b[wall] - self.pose.rings]
+        return distance
+
+    @property
+    def count(self) -> Index:
+        """Minima of each pair (p,)."""
+        return np.bincount(self.minima.pair, minlength=len(self.a))
+
+    def pair_max(self, values: Array) -> Array:
+        """The greater of the values (n,) of both rings of each pair, (p,)."""
+        return np.maximum(values[self.a], values[self.b])
+
+    def barrier(self, gap: Array) -> Array:
+        """x - 1 - log x (k,), x = gap / reach for gaps (k,) within reach, 0 beyond."""
+        x = np.minimum(gap / self.reach, 1.0)
+        return np.asarray(x - 1.0 - np.log(x))
+
+    def central_forces(self, mu: Array | float) -> Array:
+        """Forces (m,) on the central path, mu () or (m,); positive also where a gap is at the reach."""
+        return np.asarray(mu * np.maximum(1.0 / self.gap - 1.0 / self.reach, 1e-8))
+
+    def share_forces(self, total: Array, mu: Array | float) -> Array:
+        """Forces (m,): the total force (p,) of each pair in the proportions of the central path; its forces if none."""
+        central, pair = self.central_forces(mu), self.minima.pair
+        per_pair = np.bincount(pair, central, minlength=len(self.key))
+        return np.where(total[pair] > 0.0, total[pair] * central / np.maximum(per_pair[pair], 1e-300), central)
+
+
+@dataclass(frozen=True, eq=False)
+class FixedPoints(Rows):
+    """Contact points that are fixed on ring a, in place of minima of the distance that are about to merge.
+
+    key (k,): the pair of each point; rho (k, 3): the point relative to the centre of ring a; spacing (k,): distance of
+    the next point, within which minima are replaced.
+
+    Where two minima merge, they move with the cube root of the tilt of the rings, which no Newton step predicts. Gaps
+    at fixed points are smooth, and forces at neighbouring points add up to a force at any place between them.
+    """
+
+    key: Index
+    rho: Array
+    spacing: Array
+
+    def minima(self, pose: MeshPose, key: Index) -> Minima:
+        """The points as contacts of the pairs that are among the sorted keys (p,)."""
+        row = find_rows(key, self.key)
+        row, rho = row[row >= 0], self.rho[row >= 0]
+        a, b = np.divmod(key[row], len(pose.x))
+        d, na, nb = pose.x[b] - pose.x[a], pose.normal[a], pose.normal[b]
+        return _point_contacts(row, foot_on_circle(rho, na), d, nb)
+
+
+def make_fixed_points(con: MeshContacts, pairs: Index, soft: SoftMinima = SOFT) -> FixedPoints:
+    """Points around the soft minima of these pairs."""
+    is_soft, outer = soft.angles(con.minima, con.wire, soft.outer)
+    rows = np.flatnonzero(is_soft & ~con.fixed & np.isin(con.minima.pair, pairs))
+    minima, angle = con.minima.take(rows), outer[rows] * np.linspace(-1.0, 1.0, soft.count)[:, None]
+    rho = _points_beside(minima, con.pose.normal[con.a], angle)
+    return FixedPoints(np.tile(con.key[minima.pair], soft.count), rho, np.tile(angle[1] - angle[0], soft.count))
+
+
+NO_POINTS = FixedPoints(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))
+
+
+def find_mesh_contacts(
+    pose: MeshPose,
+    linked: Index,
+    wire: float,
+    reach: float,
+    *,
+    guard_points: bool = True,
+    fixed_points: FixedPoints = NO_POINTS,
+    soft: SoftMinima = SOFT,
+) -> MeshContacts:
+    """All contacts whose gap is below `reach` (r1); wire = r2/r1.
+
+    Pairs are those of rings with centres nearer than 2 + 2 wire + reach, the linked ones (m, 2), and rings near walls.
+    guard_points: whether points beside soft minima are contacts as well. `fixed_points` replace the minima near them.
+    """
+    n, rings, limit = len(pose.x), pose.rings, 2.0 * wire + reach
+    near = cKDTree(pose.x[:rings]).query_pairs(2.0 + limit, output_type="ndarray").astype(np.int64)
+    ring, wall = np.repeat(np.arange(rings), pose.walls), np.tile(np.arange(rings, n), rings)
+    radius = pose.radius[wall - rings]
+    g = wall_gaps(pose.x[ring], pose.normal[ring], pose.x[wall], pose.normal[wall], radius)
+    is_near = (g < reach) | np.isfinite(radius)  # balls may come from afar in one step
+    keys = near.min(axis=1) * n + near.max(axis=1), linked[:, 0] * n + linked[:, 1], (ring * n + wall)[is_near]
+    key = np.unique(np.concatenate(keys))
+    a, b = np.divmod(key, n)
+    d, na, nb = pose.x[b] - pose.x[a], pose.normal[a], pose.normal[b]
+    two, at_wall = np.flatnonzero(b < rings), np.flatnonzero(b >= rings)
+    parts = []
+    for first in range(0, max(len(two), 1), _CHUNK):
+        rows = two[first : first + _CHUNK]
+        minima = local_minima(d[rows], na[rows], nb[rows], reach=limit)
+        parts.append(replace(minima, pair=rows[minima.pair]))
+    minima = parts[0].join(parts[1:])
+    deepest = np.full(len(key), np.inf)
+    np.minimum.at(deepest, minima.pair, minima.distance - 2.0 * wire)
+    at_points = fixed_points.minima(pose, key)
+    if len(fixed_points.key):
+        tree = cKDTree(_located(fixed_points.key, fixed_points.rho))
+        distance, point = tree.query(_located(key[minima.pair], minima.rho_a))
+        minima = minima.take(distance >= fixed_points.spacing[point])
+    free, zero, g = len(minima.pair), np.zeros((len(at_wall), 3)), g[is_near]
+    others = [at_points, *([_guard_points(minima, d, na, nb, (wire, limit), soft)] if guard_points else ())]
+    others.append(Minima(at_wall, -nb[at_wall], zero, zero, g + 2.0 * wire, np.ones(len(g))).take(g < reach))
+    minima = minima.join(others)
+    order = np.argsort(minima.pair, kind="stable")
+    minima, fixed = minima.take(order), order >= free
+    gap = minima.distance - 2.0 * wire
+    np.minimum.at(deepest, minima.pair, gap)
+    return MeshContacts(pose, wire, reach, key, minima, fixed, gap, deepest, a, b)
+
+
+def _guard_points(
+    minima: Minima, d: Array, na: Array, nb: Array, wire_and_limit: tuple[float, float], soft: SoftMinima
+) -> Minima:
+    """Points of ring a to both sides of each soft minimum, which is about to split or has just merged."""
+    wire, limit = wire_and_limit
+    is_soft, angle = soft.angles(minima, wire, soft.growth)
+    rows, angle = minima.take(is_soft), np.minimum(angle[is_soft], 0.4)
+    pair = np.tile(rows.pair, 2)
+    points = _point_contacts(pair, _points_beside(rows, na, np.stack([angle, -angle])), d[pair], nb[pair])
+    return points.take(points.distance <= limit)
+
+
+def _points_beside(minima: Minima, na: Array, angle: Array) -> Array:
+    """Points (k m, 3) of rings a at angles (k, m) from minima (m,); na (p, 3): normals of ring a of the pairs."""
+    tau = cross(na[minima.pair], minima.rho_a)
+    return np.asarray(np.cos(angle)[..., None] * minima.rho_a + np.sin(angle)[..., None] * tau).reshape(-1, 3)
+
+
+def _point_contacts(pair: Index, rho_a: Array, d: Array, nb: Array) -> Minima:
+    """Points (m, 3) of ring a with the nearest points of ring b, as contacts of the pairs (m,)."""
+    rho_b = foot_on_circle(rho_a - d, nb)
+    w = d + rho_b - rho_a
+    distance = norm(w)
+    return Minima(pair, w / distance[:, None], rho_a, rho_b, distance, np.ones(len(pair)))
+
+
+def track_gaps(old: MeshContacts, pose: MeshPose) -> Array:
+    """Gaps (m,) at the minima near the contacts of `old` in another pose, inf for fixed points.
+
+    Much cheaper than `find_mesh_contacts`. None is less than the least gap of its pair, so a closed one rejects a step.
+    """
+    gap = np.full(len(old.gap), np.inf)
+    free = np.flatnonzero(~old.fixed)
+    d, na, nb = pose.x[old.b] - pose.x[old.a], pose.normal[old.a], pose.normal[old.b]
+    gap[free] = followed_minima(old.minima.take(free), d, na, nb).distance - 2.0 * old.wire
+    return gap
+
+
+def nearest_contacts(old: MeshContacts, new: MeshContacts) -> Index:
+    """For each contact of `old` (m,) the nearest contact of the same pair in `new`, -1 if there is none."""
+    old_at, new_at = (_located(con.key[con.minima.pair], con.minima.rho_a) for con in (old, new))
+    distance, row = cKDTree(new_at).query(old_at, distance_upper_bound=3.0)
+    return np.where(np.isfinite(distance), row, -1)
+
+
+def _located(key: Index, rho: Array) -> Array:
+    """Points (k, 4) of rho (k, 3) and the scaled key: points of a pair are within 2, those of other pairs farther."""
+    return np.column_stack([9.0 * key, rho])
+
+
+def links_intact(con: MeshContacts, linked_keys: Index) -> bool:
+    """Whether exactly the linked pairs interlink among all near pairs; far pairs cannot."""
+    x, normal, rings = con.pose.x, con.pose.normal, ~con.is_wall
+    a, b = con.a[rings], con.b[rings]
+    linked = are_linked(x[b] - x[a], normal[a], normal[b])
+    return bool((linked == np.isin(con.key[rings], linked_keys)).all())
+
+
+def find_rows(keys: Index, queries: Index) -> Index:
+    """Rows (k,) of `queries` (k,) in the sorted `keys`, -1 for those that are not among them."""
+    if not len(keys):
+        return np.full(len(queries), -1)
+    row = np.minimum(np.searchsorted(keys, queries), len(keys) - 1)
+    return np.where(keys[row] == queries, row, -1)
+
+
+def transfer_forces(old: MeshContacts, force: Array, new: MeshContacts, mu: Array) -> Array:
+    """Forces (m,) of new contacts from those of old ones.
+
+    Each old force is divided among the new contacts of its pair that are nearest to it, in the proportions of the
+    central path; if there are none, the new contact nearest to it takes it. The others get the forces of the path.
+    """
+    central, parent, heir = new.central_forces(mu), nearest_contacts(new, old), nearest_contacts(old, new)
+    rows, out = np.flatnonzero(parent >= 0), np.zeros(len(new.gap))
+    total = np.bincount(parent[rows], central[rows], minlength=len(force))
+    out[rows] = force[parent[rows]] * central[rows] / total[parent[rows]]
+    orphans = np.flatnonzero((total == 0.0) & (heir >= 0))
+    np.add.at(out, heir[orphans], force[orphans])
+    return np.where(out > 0.0, out, central)
+
+
+def wall_gaps(x: Array, normal: Array, place: Array, m: Array, radius: Array) -> Array:
+    """g (k,) of rings over planes, or balls of finite radius; negative where a ring is partly inside."""
+    h, y, _ = _height(x, place, m, radius)
+    b = dot(y, y) - dot(normal, y) ** 2
+    safe = np.where(h > 0.0, h, 1.0)
+    return np.asarray(np.where(h > 0.0, h - b / safe, h - np.sqrt(np.maximum(b, 0.0))))
+
+
+def _height(x: Array, place: Array, m: Array, radius: Array) -> tuple[Array, Array, Array]:
+    """h (k,), y (k, 3), and the derivative of y by d, 1/R (k,)."""
+    d, curved = place - x, 1.0 / radius
+    flat = np.isinf(radius)
+    y = np.where(flat[:, None], -m, curved[:, None] * d)
+    R = np.where(flat, 1.0, radius)
+    return np.where(flat, dot(y, d), 0.5 * (dot(d, d) + 1.0 - R * R) / R), y, curved
+
+
+def wall_derivatives(x: Array, normal: Array, place: Array, m: Array, radius: Array) -> tuple[Array, Array]:
+    """Gradient (k, 7) and second derivative (k, 7, 7) of g: way of the body as seen from the ring, tilts of both."""
+    h, y, k = _height(x, place, m, radius)
+    c, p = dot(normal, y), cross(normal, y)
+    b = dot(p, p)
+    frame = np.stack(tangent_frame(normal), axis=2)
+    t = (p[:, :, None] * frame).sum(axis=1)
+    across = y - c[:, None] * normal
+    by_d, by_tilt = (2.0 * k)[:, None] * across, (-2.0 * c)[:, None] * t
+    G, H = np.zeros((len(h), 7)), np.zeros((len(h), 7, 7))
+    part = 1.0 + b / h**2
+    G[:, :3] = part[:, None] * y - by_d / h[:, None]
+    G[:, 3:5] = -by_tilt / h[:, None]
+    one, two = np.eye(3), np.eye(2)
+    both = y[:, :, None] * by_d[:, None, :]
+    H[:, :3, :3] = (k * part)[:, None, None] * one - (2.0 * b / h**3)[:, None, None] * y[:, :, None] * y[:, None, :]
+    H[:, :3, :3] += (both + both.transpose(0, 2, 1)) / (h**2)[:, None, None]
+    H[:, :3, :3] -= (2.0 * k**2 / h)[:, None, None] * (one - normal[:, :, None] * normal[:, None, :])
+    turn = cross(frame.transpose(0, 2, 1), normal[:, None, :]).transpose(0, 2, 1)
+    mixed = normal[:, :, None] * t[:, None, :] + c[:, None, None] * turn
+    H[:, :3, 3:5] = y[:, :, None] * by_tilt[:, None, :] / (h**2)[:, None, None] + (2.0 * k / h)[:, None, None] * mixed
+    H[:, 3:5, :3] = H[:, :3, 3:5].transpose(0, 2, 1)
+    H[:, 3:5, 3:5] = (2.0 / h)[:, None, None] * (t[:, :, None] * t[:, None, :] - (c**2)[:, None, None] * two)
+    return G, H
+
+
+def travel_bounds(con: MeshContacts, q: Array) -> Array:
+    """Bounds (p,) on the travel of any point of ring b relative to ring a in the step q (n, 5), for every near pair.
+
+    Two rings that turn together do not move relative to each other. Seen from ring a, which turns with W_a, a point r
+    of ring b moves with v - W_a x d + (W_b - W_a) x r, where d goes from a to b and v is its rate. W may have any part
+    along the ring's normal n, since a spin moves no circle; the spins are those of least squares of both terms. In the
+    course of the step n turns and d changes, each in proportion to the time.
+    """
+    a, b, pose = con.a, con.b, con.pose
+    tilt = rotation(pose.normal, q[:, 3:])
+    wa, wb, na, nb = tilt[a], tilt[b], pose.normal[a], pose.normal[b]
+    d, v = pose.x[b] - pose.x[a], q[b, :3] - q[a, :3]
+    turn, shift, arm = wb - wa, v - cross(wa, d), cross(na, d)
+    aa, bb, ab = dot(arm, arm) + 1.001, 1.001, -dot(na, nb)
+    ra, rb = dot(na, turn) + dot(arm, shift), -dot(nb, turn)
+    det = aa * bb - ab * ab
+    sa, sb = (bb * ra - ab * rb) / det, (aa * rb - ab * ra) / det
+    turn, shift = turn + sb[:, None] * nb - sa[:, None] * na, shift - sa[:, None] * arm
+    changing_a, changing_b = np.abs(sa) * norm(wa), np.abs(sb) * norm(wb)
+    late = (1.0 + norm(d) + norm(v)) * changing_a + changing_b + (norm(wa) + np.abs(sa)) * norm(v)
+    plain = norm(v) + norm(wa) + norm(wb)
+    return np.asarray(np.minimum(plain, norm(shift) + norm(turn) + 0.5 * late))
+
+
+def safe_fractions(con: MeshContacts, q: Array) -> Array:
+    """The fraction (p,) of a step within which no wire of a pair can pass through the other.
+
+    Circles that cross during the step have D(0) + D(1) <= L, where D is their distance and L the longest relative
+    travel of a point. D(1) >= 2 wire, so L < D(0) + 2 wire is safe; nine tenths of it are allowed.
+    """
+    return np.asarray(np.minimum(1.0, 0.9 * con.clearance / np.maximum(travel_bounds(con, q), 1e-300)))
+
+
+def is_passage_safe(old: MeshContacts, new: MeshContacts, q: Array) -> bool:
+    """Whether no ring can have passed through another during the step q (n, 5), by `travel_bounds` for near pairs.
+
+    Circles of other pairs can cross only if their centres come within 2 of each other: their relative travel is then
+    at least the sum of what both ends are beyond 2.
+    """
+    limit = 2.0 * old.wire + old.reach
+    rows = find_rows(new.key, old.key)
+    end = np.where(rows >= 0, np.minimum(new.deepest[rows] + 2.0 * old.wire, limit), limit)
+    room = old.clearance + np.where(old.is_wall, 0.0, np.maximum(end - 2.0 * old.wire, 0.0))
+    if (travel_bounds(old, q) >= room).any():
+        return False
+    x0, x1 = (con.pose.x[: con.pose.rings] for con in (old, new))
+    step = x1 - x0
+    step = step - 0.5 * (step.max(axis=0) + step.min(axis=0))
+    pairs = cKDTree(0.5 * (x0 + x1)).query_pairs(2.0 + float(norm(step).max()), output_type="ndarray")
+    a, b = pairs.astype(np.int64).min(axis=1), pairs.astype(np.int64).max(axis=1)
+    far = find_rows(old.key, a * len(old.pose.x) + b) < 0
+    travel, d0, d1 = (u[b[far]] - u[a[far]] for u in (step, x0, x1))
+    beyond = np.maximum(norm(d0) - 2.0, 0.0) + np.maximum(norm(d1) - 2.0, 0.0)
+    return not (dot(travel, travel) >= beyond**2).any()

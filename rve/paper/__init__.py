@@ -1,1 +1,0 @@
-"""The paper's method: Stewart-Trinkle time stepping, all ten rings, alternating projection."""

@@ -1,0 +1,6 @@
+"""A cell whose strain or line load is given: the nearest pose, the contact forces, and how placed rings fit."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""The names for other packages, listed in `__init__.pyi`: their modules are imported when they are first used."""

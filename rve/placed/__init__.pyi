@@ -1,0 +1,17 @@
+from .fit import NEAR as NEAR
+from .fit import Fit as Fit
+from .fit import axes_of_weave as axes_of_weave
+from .fit import fit_rings as fit_rings
+from .fit import offsets as offsets
+from .fit import reference_shares as reference_shares
+from .fit import shares as shares
+from .forces import CellForces as CellForces
+from .forces import cell_forces as cell_forces
+from .forces import central_forces as central_forces
+from .forces import largest_forces as largest_forces
+from .poses import POSE_MEANINGS as POSE_MEANINGS
+from .poses import LockedArrangements as LockedArrangements
+from .poses import NearestPoses as NearestPoses
+from .poses import PoseOptions as PoseOptions
+from .poses import locked_arrangements as locked_arrangements
+from .poses import nearest_poses as nearest_poses

@@ -1,1 +1,0 @@
-"""Mechanics of one ring: internal forces, flexibility between points, first yield and plastic collapse."""

@@ -1,0 +1,10 @@
+from .dynamics import Dynamics as Dynamics
+from .dynamics import StewartTrinkleOptions as StewartTrinkleOptions
+from .dynamics import copies as copies
+from .stewart_trinkle import ROUND_OFF as ROUND_OFF
+from .stewart_trinkle import CellMotion as CellMotion
+from .stewart_trinkle import History as History
+from .stewart_trinkle import simulate as simulate
+from .study import Study as Study
+from .study import run_study as run_study
+from .study import solve_study as solve_study

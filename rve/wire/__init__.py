@@ -1,0 +1,6 @@
+"""Mechanics of the wire: section forces and flexibility of a ring, its strength, compliance and strength of cells."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""The names for other packages, listed in `__init__.pyi`: their modules are imported when they are first used."""
