@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,94 +29,111 @@ from macro_fem.solvers.status import Settling, load_scale
 from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, digits, part_of
 
-ROUNDS = 60
-"""Most rounds; one costs a convex solve."""
-SETTLED = 1e-6
-"""Forces that may still turn between two rounds, over the loads. Smaller values take more rounds."""
-DAMPING, LEAST_DAMPING = 0.5, 0.25
-"""First and least part of the way to the next shape at which wind is evaluated, far from the answer. Larger parts let a
-sheet collapse before the pressure opens it, smaller ones take more rounds."""
-MIXED_FROM = 0.2
-"""Relative change of the wind's forces from which rounds are mixed. Farther away changes are not nearly linear."""
-MEMORY = 20
-"""Rounds before, of whose pressures the next one is mixed so that the changes cancel."""
-IDLE = 25
-"""Rounds without a smaller change after which rounds end: the curtain has no rest near the last shapes."""
-DRAG_SETTLED, DRAG_IDLE = 1e-4, 5
-"""What drag along the wind may still turn, over the loads, after so many idle rounds: rigid rings of a gathered sheet
-leave open how far single cells fold, and those take turns at some 1e-5."""
-SMOOTHING = (1e-3, 3e-3, 1e-2)
-"""Stabilising tensions in drag for cells that fold now one way and now the other; mean heights + 0 to 0.7 %."""
-STRIDES = 40
-"""Parts into which a move of bodies is cut while they push nodes along. More follow round bodies better."""
-PACE = 0.5
-"""Largest move of a body at once, over half its least width. Larger ones may leave nodes beside it."""
-SHORTEST = 1.0 / 32
-"""Least part of the way of supports and bodies that is tried at once before the curtain counts as blocked."""
-STEEP_PART = 0.1
-"""First part of a change that is taken of wind that follows with a speed, whose force falls much faster than the sheet
-turns out of it. Larger parts begin with more detours."""
-STEEP_SETTLED, STEEP_TOLERANCE = 1e-3, 1e-12
-"""What such wind, and drag after the last round, may still turn, over the loads, and the largest gap of the convex
-solves of such wind: positions are known to the square root of the gap, and forces on a sheet at 8 degrees to the wind
-to thirteen times that. With 1e-9 some strips find no rest."""
-LEAST_PART = 0.02
-"""Least part of a change that is taken. Less hardly moves."""
-FAR = 2.0
-"""Changes this many times the least one are not built upon. Smaller values go back from every detour."""
-KEPT = 3
-"""Rounds that are remembered on the way back."""
-GROWTH = 1.3
-"""How much larger the part becomes with every least change."""
-FLAT = 1e-4
-"""Relative singular values of changes that are noise. With 1e-8 mixed forces were noise of solvers, multiplied."""
+
+@dataclass(frozen=True)
+class ShapeOptions:
+    """Numbers of the rounds in which a shape settles, of the wind in them, and of bodies that move into place."""
+
+    rounds: int = 60
+    """Most rounds; one costs a convex solve."""
+    settled: float = 1e-6
+    """Forces that may still turn between two rounds, over the loads. Smaller values take more rounds."""
+    damping: float = 0.5
+    least_damping: float = 0.25
+    """First and least part of the way to the next shape at which wind is evaluated, far from the answer. Larger parts
+    let a sheet collapse before the pressure opens it, smaller ones take more rounds."""
+    mixed_from: float = 0.2
+    """Relative change of the wind's forces from which rounds are mixed. Farther away changes are not nearly linear."""
+    memory: int = 20
+    """Rounds before, of whose pressures the next one is mixed so that the changes cancel."""
+    idle: int = 25
+    """Rounds without a smaller change after which rounds end: the curtain has no rest near the last shapes."""
+    drag_settled: float = 1e-4
+    drag_idle: int = 5
+    """What drag along the wind may still turn, over the loads, after so many idle rounds: rigid rings of a gathered
+    sheet leave open how far single cells fold, and those take turns at some 1e-5."""
+    smoothing: tuple[float, ...] = (1e-3, 3e-3, 1e-2)
+    """Stabilising tensions in drag for cells that fold now one way and now the other; mean heights + 0 to 0.7 %."""
+    strides: int = 40
+    """Parts into which a move of bodies is cut while they push nodes along. More follow round bodies better."""
+    pace: float = 0.5
+    """Largest move of a body at once, over half its least width. Larger ones may leave nodes beside it."""
+    shortest: float = 1.0 / 32
+    """Least part of the way of supports and bodies that is tried at once before the curtain counts as blocked."""
+    steep_part: float = 0.1
+    """First part of a change that is taken of wind that follows with a speed, whose force falls much faster than the
+    sheet turns out of it. Larger parts begin with more detours."""
+    steep_settled: float = 1e-3
+    steep_tolerance: float = 1e-12
+    """What such wind, and drag after the last round, may still turn, over the loads, and the largest gap of the convex
+    solves of such wind: positions are known to the square root of the gap, and forces on a sheet at 8 degrees to the
+    wind to thirteen times that. With 1e-9 some strips find no rest."""
+    least_part: float = 0.02
+    """Least part of a change that is taken. Less hardly moves."""
+    far: float = 2.0
+    """Changes this many times the least one are not built upon. Smaller values go back from every detour."""
+    kept: int = 3
+    """Rounds that are remembered on the way back."""
+    growth: float = 1.3
+    """How much larger the part becomes with every least change."""
+    flat: float = 1e-4
+    """Relative singular values of changes that are noise. With 1e-8 mixed forces were noise of solvers, multiplied."""
+
+
+SHAPE = ShapeOptions()
 
 Solve = Callable[[CurtainProblem, CurtainSolution | None], CurtainSolution]
 """The solver of a convex problem, from a curtain before."""
 
 
 def solve_shape(
-    problem: CurtainProblem, start: CurtainSolution | None, solve: Solve, smoothing: float = 0.0
+    problem: CurtainProblem,
+    start: CurtainSolution | None,
+    solve: Solve,
+    smoothing: float = 0.0,
+    options: ShapeOptions = SHAPE,
 ) -> CurtainSolution:
     """The curtain of a problem with bodies or wind on its shape, by `solve` for each round.
 
     InputError if the curtain is inside a body to begin with. Rounds that do not settle end as "unsettled", impossible
     ones with their own status. A sheet that finds no rest in drag along the wind is tried again with a stabilising
-    tension of `SMOOTHING`, as `smoothing` tells.
+    tension of `ShapeOptions.smoothing`, as `smoothing` tells.
     """
     begin, scene = time.perf_counter(), problem.scene
     is_steep = any(wind.follows and wind.speed is not None for wind in problem.winds)
-    settled, part = (STEEP_SETTLED, STEEP_PART) if is_steep else (SETTLED, 1.0)
+    settled, part = (options.steep_settled, options.steep_part) if is_steep else (options.settled, 1.0)
     is_drag = not problem.bodies and not any(wind.follows for wind in problem.winds)
     if is_steep:
-        exact = replace(scene.solver, tolerance=min(scene.solver.tolerance, STEEP_TOLERANCE))
+        exact = replace(scene.solver, tolerance=min(scene.solver.tolerance, options.steep_tolerance))
         problem = replace(problem, scene=replace(scene, solver=exact))
     first = start if start is not None else _first(problem, solve)
     shape = first.x
-    mixer = Mixer(problem.exact.weight, MEMORY, part, 0.5 if is_steep else 1.0)
+    mixer = Mixer(problem.exact.weight, options.memory, part, 0.5 if is_steep else 1.0)
     if start is None and any(wind.speed is None for wind in problem.winds):
         X = problem.disc.nodes  # the sheet before anything pulls it out of its plane
         shape = X @ problem.frame.T if scene.start is None else scene.start.places(X)
     wind = wind_density(problem, shape)
     watch = _Watch(problem, 0.0 if start is None or start.settling is None else start.settling.crossed)
     tangents, found = _approach(problem, first, wind, start, solve, watch)
-    record, misfits, damping = None, list[float](), DAMPING
-    for rounds in range(1, ROUNDS + 1):
+    record, misfits, damping = None, list[float](), options.damping
+    for rounds in range(1, options.rounds + 1):
         if found.status in ("infeasible", "not_finite"):
             break
         change = wind_density(problem, found.x) - wind
         turned = [tangent_walls(body, problem.fem, found.x) for body in problem.bodies]
         record = _measure_settling(problem, found, turned, change, settled)
         record = replace(record, rounds=rounds, crossed=watch.deepest, smoothing=smoothing)
-        is_last = rounds == ROUNDS or bool(problem.winds and mixer.idle > IDLE)
-        if is_drag and (is_last or mixer.idle > DRAG_IDLE):
-            record = replace(record, asked=STEEP_SETTLED if is_last else DRAG_SETTLED)
+        is_last = rounds == options.rounds or bool(problem.winds and mixer.idle > options.idle)
+        if is_drag and (is_last or mixer.idle > options.drag_idle):
+            record = replace(record, asked=options.steep_settled if is_last else options.drag_settled)
         if record.is_settled or is_last:
             break
         misfits.append(record.misfit)
         tangents = turned
-        if not is_steep and np.linalg.norm(change) > MIXED_FROM * np.linalg.norm(wind):
-            damping = max(LEAST_DAMPING, 0.5 * damping) if len(misfits) > 1 and misfits[-1] > misfits[-2] else damping
+        if not is_steep and np.linalg.norm(change) > options.mixed_from * np.linalg.norm(wind):
+            damping = (
+                max(options.least_damping, 0.5 * damping) if len(misfits) > 1 and misfits[-1] > misfits[-2] else damping
+            )
             shape = shape + damping * (found.x - shape)
             wind = wind_density(problem, shape)
         else:
@@ -126,10 +143,10 @@ def solve_shape(
         watch.look(problem.bodies, last.x, found.x)
     own = replace(found.problem, scene=scene, bodies=problem.bodies, winds=problem.winds)
     found = replace(found, problem=own, settling=record)
-    higher = [tension for tension in SMOOTHING if tension > scene.solver.stabilising_tension]
+    higher = [tension for tension in options.smoothing if tension > scene.solver.stabilising_tension]
     if is_drag and found.status == "unsettled" and higher:
         tense = replace(scene, solver=replace(scene.solver, stabilising_tension=higher[0]))
-        found = solve_shape(replace(problem, scene=tense), found, solve, higher[0])
+        found = solve_shape(replace(problem, scene=tense), found, solve, higher[0], options)
     return replace(found, wall_s=time.perf_counter() - begin)
 
 
@@ -142,13 +159,15 @@ def _approach(
     watch: _Watch,
 ) -> tuple[list[Walls], CurtainSolution]:
     """The first tangent half-spaces and the curtain in them, after supports and bodies have moved into place: in as
-    large strides as leave a state in the half-spaces found before. After `SHORTEST` the curtain says it is blocked.
-    """
+    large strides as leave a state in the half-spaces found before. After `SHAPE.shortest` the curtain says it is
+    blocked."""
     held = np.where(problem.fem.held, first.x, 0.0)
     before = 0.0 if start is None else start.problem.factor
     # the part of their moves that no body should exceed at once: farther, and it may pass between nodes
     parts = [one.obstacle.breadth / max(float(np.linalg.norm(one.obstacle.move)), 1e-300) for one in problem.bodies]
-    stride = max(SHORTEST, min([1.0, *(PACE * part / max(problem.factor - before, 1e-300) for part in parts)]))
+    stride = max(
+        SHAPE.shortest, min([1.0, *(SHAPE.pace * part / max(problem.factor - before, 1e-300) for part in parts)])
+    )
     done, x, last = 0.0, first.x, start
     while True:
         part = min(1.0, done + stride)
@@ -159,7 +178,7 @@ def _approach(
         tangents = [tangent_walls(body, fem, pushed) for body in bodies]
         with part_of(f"moving into place, {100.0 * done:.0f} % done"):
             found = solve(_pose(here, tangents, wind), last)
-        if found.status == "infeasible" and stride > SHORTEST:
+        if found.status == "infeasible" and stride > SHAPE.shortest:
             stride *= 0.5
             continue
         watch.look(bodies, pushed, found.x)
@@ -216,7 +235,7 @@ def _first(problem: CurtainProblem, solve: Solve) -> CurtainSolution:
 
 def _push_out(problem: CurtainProblem, x: Array, before: float, after: float, watch: _Watch) -> Array:
     """Places (n_nodes, d) after bodies, from one share of their moves to another, have pushed the nodes they meet."""
-    for factor in np.linspace(before, after, STRIDES + 1)[1:]:
+    for factor in np.linspace(before, after, SHAPE.strides + 1)[1:]:
         for body in problem.bodies:
             if any(body.obstacle.move):
                 here = replace(body, factor=float(factor))
@@ -271,20 +290,20 @@ class Mixer:
             return self._back()
         if size < self.least:
             self.least, self.best, self.idle = size, (force, change), 0
-            self.part = min(self.most, GROWTH * self.part)
+            self.part = min(self.most, SHAPE.growth * self.part)
         else:
             self.idle += 1
-        self.far = FAR * self.least
+        self.far = SHAPE.far * self.least
         self.rounds = [*self.rounds, np.stack([force, change])][-self.memory - 1 :]
         return self._mixed(force, change)
 
     def _back(self) -> Array:
         """The best forces and a smaller part of their change."""
         assert self.best is not None
-        self.part = max(0.5 * self.part, LEAST_PART)
-        self.far *= FAR
+        self.part = max(0.5 * self.part, SHAPE.least_part)
+        self.far *= SHAPE.far
         self.idle += 1
-        self.rounds = self.rounds[-KEPT:]
+        self.rounds = self.rounds[-SHAPE.kept :]
         return np.asarray(self.best[0] + self.part * self.best[1])
 
     def _mixed(self, force: Array, change: Array) -> Array:
@@ -294,5 +313,5 @@ class Mixer:
         df, dg = np.stack([self.rounds[-1] - before for before in self.rounds[:-1]], axis=-1)
         scaled = (self.scale[:, :, None] * dg).reshape(-1, dg.shape[-1])
         sizes = np.maximum(np.linalg.norm(scaled, axis=0), 1e-300)
-        weights = np.linalg.lstsq(scaled / sizes, (self.scale * change).ravel(), rcond=FLAT)[0] / sizes
+        weights = np.linalg.lstsq(scaled / sizes, (self.scale * change).ravel(), rcond=SHAPE.flat)[0] / sizes
         return np.asarray(force + self.part * change - (df + self.part * dg) @ weights)

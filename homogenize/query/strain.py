@@ -17,38 +17,45 @@ from rve.common import Array, InputError, Rows, checked, part_of, tell
 from rve.common.tensor import IDENTITY, WEIGHT, disc, from_disc, trace
 from rve.geometry import cauchy_line_load, cauchy_of, deformation_gradient, second_pk
 
-FLAT = 1e-6
-"""C = I + 2E with a determinant or side below this is a cell drawn to a line: no load can be pulled back to it."""
-RETRIES = (1.0, 3.0, 10.0)
-"""Multiples of the offset with which a load that fails is approached on a path."""
-SINGULAR = 1e-9
-"""Singular values of the Jacobian below this share of the largest count as 0."""
-INWARD = 5e-4
-"""Loads of rank one are replaced by loads this far inside the tensile cone, because a polyhedral law misses the rim by
-2.4e-4; the table also answers with the limit of beta."""
-SAME_LOAD = 1e-9
-"""A row answers for loads whose unit Cauchy loads differ by less in every component."""
-FAR = 10.0
-"""Multiple of the offset at which the first guess starts."""
-OFFSET = 0.1
-"""Length of X - E as a strain; a smaller one resolves sharp edges better, a larger one makes the surface smoother for
-Newton."""
-TOLERANCE = 1e-9
-"""Largest error of the load direction (unit trace)."""
-NEWTON_STEPS, PATH_STEPS = 60, 18
-"""Limit of steps per load; loads on the way from beta = 45 degrees to a load that fails at first."""
-WIDTH = 0.05
-"""Strains under one load that differ by more are not one strain; facets between rows are an order smaller."""
+
+@dataclass(frozen=True)
+class StrainOptions:
+    """Numbers of the search for a strain."""
+
+    flat: float = 1e-6
+    """C = I + 2E with a determinant or side below this is a cell drawn to a line: no load can be pulled back to it."""
+    retries: tuple[float, ...] = (1.0, 3.0, 10.0)
+    """Multiples of the offset with which a load that fails is approached on a path."""
+    singular: float = 1e-9
+    """Singular values of the Jacobian below this share of the largest count as 0."""
+    inward: float = 5e-4
+    """Loads of rank one are replaced by loads this far inside the tensile cone, because a polyhedral law misses the rim
+    by 2.4e-4; the table also answers with the limit of beta."""
+    same_load: float = 1e-9
+    """A row answers for loads whose unit Cauchy loads differ by less in every component."""
+    far: float = 10.0
+    """Multiple of the offset at which the first guess starts."""
+    offset: float = 0.1
+    """Length of X - E as a strain; a smaller one resolves sharp edges better, a larger one makes the surface smoother
+    for Newton."""
+    tolerance: float = 1e-9
+    """Largest error of the load direction (unit trace)."""
+    newton_steps: int = 60
+    path_steps: int = 18
+    """Limit of steps per load; loads on the way from beta = 45 degrees to a load that fails at first."""
+    width: float = 0.05
+    """Strains under one load that differ by more are not one strain; facets between rows are an order smaller."""
+
+
+OPTIONS = StrainOptions()
 
 
 @dataclass(frozen=True, eq=False)
 class LockedStrain:
-    """E (n, 3), S (n, 3) of unit trace, `residual` (n,) of the load direction, `unique`, `status` (n,).
-
-    E_min, E_max (n, 3): bounds of the rings' locked strain from the rows of the table, nan if there are no rows.
-    status is "converged" or "no_convergence" (the residual says by how much).
-    unique is false where the bounds are wider than `WIDTH`; without rows, where strains of the law near the load are.
-    """
+    """E (n, 3), S (n, 3) of unit trace, `residual` (n,) of the load direction, `unique`, `status` (n,). E_min, E_max
+    (n, 3): bounds of the rings' locked strain from the rows of the table, nan if there are no rows. status is
+    "converged" or "no_convergence" (the residual says by how much). unique is false where the bounds are wider than
+    `OPTIONS.width`; without rows, where strains of the law near the load are."""
 
     E: Array
     E_min: Array
@@ -89,20 +96,20 @@ def locked_strain(law: MembraneLaw, alpha_deg: Array, beta_deg: Array, rows: Loc
         alpha, beta = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, float)) for x in (alpha_deg, beta_deg)))
     except (TypeError, ValueError) as error:
         raise InputError("alpha and beta must be numbers, or lists of as many, in degrees") from error
-    scale = OFFSET / float(np.abs(law.compliance @ [0.5, 0.0, 0.5]).max())  # trace of S in X = E + A S, N/mm
+    scale = OPTIONS.offset / float(np.abs(law.compliance @ [0.5, 0.0, 0.5]).max())  # trace of S in X = E + A S, N/mm
     state = _newton(law, scale, alpha, beta, _start(law, scale, alpha, beta))
-    for factor in RETRIES:
-        failed = np.flatnonzero(state.size > TOLERANCE)
+    for factor in OPTIONS.retries:
+        failed = np.flatnonzero(state.size > OPTIONS.tolerance)
         if not failed.size:
             break
         again = _walk(law, factor * scale, alpha[failed], beta[failed])
         better = again.size < state.size[failed]
         state = state.put(failed[better], again.take(better))
-    good = state.size <= TOLERANCE
+    good = state.size <= OPTIONS.tolerance
     S = state.S / np.where(good, trace(state.S), 1.0)[:, None]
     status = np.where(good, "converged", "no_convergence")
     unknown = np.full(S.shape, np.nan)
-    found = LockedStrain(state.E, unknown, unknown, S, state.size, face_width(law, S) < WIDTH, status)
+    found = LockedStrain(state.E, unknown, unknown, S, state.size, face_width(law, S) < OPTIONS.width, status)
     return found if rows is None else _with_rows(found, rows, alpha, beta)
 
 
@@ -112,7 +119,7 @@ def _with_rows(found: LockedStrain, rows: LockedRows, alpha: Array, beta: Array)
     own = cauchy_of(both.S, both.E)
     own /= np.sqrt((own * own) @ WEIGHT)[:, None]
     same = np.abs(s[:, None] - own).max(axis=2)
-    at, row = np.flatnonzero(same.min(axis=1) < SAME_LOAD), same.argmin(axis=1)
+    at, row = np.flatnonzero(same.min(axis=1) < OPTIONS.same_load), same.argmin(axis=1)
     row = row[at]
     alone = both.unique[row]
     low, high = np.empty(s.shape), np.empty(s.shape)
@@ -120,7 +127,7 @@ def _with_rows(found: LockedStrain, rows: LockedRows, alpha: Array, beta: Array)
     low[open_], high[open_] = strain_bounds(rows, s[open_])
     low[at[alone]] = high[at[alone]] = both.E[row[alone]]
     E, S, residual, status = found.E.copy(), found.S.copy(), found.residual.copy(), found.status.copy()
-    unique = (high - low).max(axis=1) < WIDTH
+    unique = (high - low).max(axis=1) < OPTIONS.width
     E[at], S[at], unique[at], residual[at], status[at] = both.E[row], both.S[row], alone, 0.0, "converged"
     low[at], high[at] = np.fmin(low[at], E[at]) - slack, np.fmax(high[at], E[at]) + slack
     return replace(found, E=E, E_min=low, E_max=high, S=S, residual=residual, unique=unique, status=status)
@@ -149,7 +156,7 @@ def face_width(law: MembraneLaw, S: Array, step: float = 2e-3) -> Array:
 def _start(law: MembraneLaw, scale: float, alpha: Array, beta: Array) -> Array:
     """X (n, 3) of the strain that locks under the load at the undeformed cell, seen from far along its normal."""
     away = scale * _load(np.zeros((len(alpha), 3)), cauchy_line_load(alpha, beta)) @ law.compliance.T
-    return law.response(FAR * away).E_star + away
+    return law.response(OPTIONS.far * away).E_star + away
 
 
 def _evaluate(law: MembraneLaw, scale: float, s: Array, X: Array) -> _Evaluation:
@@ -163,11 +170,12 @@ def _evaluate(law: MembraneLaw, scale: float, s: Array, X: Array) -> _Evaluation
 
 
 def _load(E: Array, s: Array) -> Array:
-    """Direction of the second Piola-Kirchhoff load at E, unit trace, (n, 3), kept `INWARD` from the rim of the cone."""
+    """Direction of the second Piola-Kirchhoff load at E, unit trace, (n, 3), kept `OPTIONS.inward` from the rim of the
+    cone."""
     S = second_pk(deformation_gradient(_possible(E)), s)
     x = disc(S / trace(S)[:, None])
     radius = np.hypot(x[:, 0], x[:, 1])
-    return from_disc(x * ((1.0 - INWARD) / np.maximum(radius, 1.0 - INWARD))[:, None])
+    return from_disc(x * ((1.0 - OPTIONS.inward) / np.maximum(radius, 1.0 - OPTIONS.inward))[:, None])
 
 
 def _possible(E: Array) -> Array:
@@ -175,7 +183,7 @@ def _possible(E: Array) -> Array:
     scale = np.ones(len(E))
     for _ in range(60):
         C = 2.0 * scale[:, None] * E + IDENTITY
-        bad = (C[:, 0] <= FLAT) | (C[:, 2] <= FLAT) | (C[:, 0] * C[:, 2] - C[:, 1] ** 2 <= FLAT)
+        bad = (C[:, 0] <= OPTIONS.flat) | (C[:, 2] <= OPTIONS.flat) | (C[:, 0] * C[:, 2] - C[:, 1] ** 2 <= OPTIONS.flat)
         if not bad.any():
             break
         scale[bad] *= 0.8
@@ -189,12 +197,12 @@ def _newton(law: MembraneLaw, scale: float, alpha: Array, beta: Array, X: Array)
     """
     s = cauchy_line_load(alpha, beta)
     state = _evaluate(law, scale, s, X)
-    for _ in range(NEWTON_STEPS):
-        todo = np.flatnonzero(state.size > TOLERANCE)
+    for _ in range(OPTIONS.newton_steps):
+        todo = np.flatnonzero(state.size > OPTIONS.tolerance)
         if not todo.size:
             break
         tell(f"strains under {len(X)} loads, {todo.size} to go")
-        dX = -np.einsum("nij,nj->ni", np.linalg.pinv(state.J[todo], rcond=SINGULAR), state.r[todo])
+        dX = -np.einsum("nij,nj->ni", np.linalg.pinv(state.J[todo], rcond=OPTIONS.singular), state.r[todo])
         dX *= np.minimum(1.0, 0.3 / np.maximum(np.abs(dX).max(axis=1), 1e-300))[:, None]
         before = state.size
         for half in range(7):
@@ -214,8 +222,8 @@ def _walk(law: MembraneLaw, scale: float, alpha: Array, beta: Array) -> _Evaluat
     The steps get shorter towards the end, because strains change fast at beta = 0.
     """
     X = _start(law, scale, alpha, np.full(len(beta), 45.0))
-    for turn, left in enumerate(np.linspace(1.0, 0.0, PATH_STEPS + 1) ** 3):
-        with part_of(f"loads that failed, again along a path, step {turn + 1} of {PATH_STEPS + 1}"):
+    for turn, left in enumerate(np.linspace(1.0, 0.0, OPTIONS.path_steps + 1) ** 3):
+        with part_of(f"loads that failed, again along a path, step {turn + 1} of {OPTIONS.path_steps + 1}"):
             state = _newton(law, scale, alpha, beta + left * (45.0 - beta), X)
         X = state.X
     return state

@@ -24,18 +24,30 @@ from rve.geometry import deformation_gradient, second_pk
 
 STAR = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 CORNERS = np.array([[1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])
-LARGEST = 4.0
-"""Shapes with |log m| and |w| up to this are searched; cells beyond are 50 times longer than wide, or sheared flat."""
-FIRST = 40
-"""Rectangles along each axis at the start; fewer may miss a small region."""
-RESOLUTION = 0.02
-"""Halving ends when rectangles are this share of the region; the bounds are wider than the region by about as much."""
-SMALLEST = 1e-7
-"""Regions smaller than this are points."""
-MARGIN = 2.0
-"""Factor on the change of log(upper / lower limit of l) that is seen inside a rectangle; a larger one keeps more."""
-ROUND_OFF = 1e-10
-"""Excess below zero that is still kept."""
+
+
+@dataclass(frozen=True)
+class BoundOptions:
+    """Numbers of the search for bounds."""
+
+    largest: float = 4.0
+    """Shapes with |log m| and |w| up to this are searched; cells beyond are 50 times longer than wide, or sheared
+    flat."""
+    first: int = 40
+    """Rectangles along each axis at the start; fewer may miss a small region."""
+    resolution: float = 0.02
+    """Halving ends when rectangles are this share of the region; the bounds are wider than the region by about as
+    much."""
+    smallest: float = 1e-7
+    """Regions smaller than this are points."""
+    margin: float = 2.0
+    """Factor on the change of log(upper / lower limit of l) that is seen inside a rectangle; a larger one keeps
+    more."""
+    round_off: float = 1e-10
+    """Excess below zero that is still kept."""
+
+
+OPTIONS = BoundOptions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,17 +109,17 @@ def strain_bounds(rows: LockedRows, s: Array) -> tuple[Array, Array]:
 
 def _bounds_under(s: Array, known: _Known) -> tuple[Array, Array]:
     """Least and largest strain components (3,) under the load s (3,), by halving rectangles of the plane of shapes."""
-    half = np.full(2, LARGEST / FIRST)
-    ticks = (2.0 * np.arange(FIRST) + 1.0 - FIRST) * half[0]
+    half = np.full(2, OPTIONS.largest / OPTIONS.first)
+    ticks = (2.0 * np.arange(OPTIONS.first) + 1.0 - OPTIONS.first) * half[0]
     x = np.stack(np.meshgrid(ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 2)
     while True:
         seen = [known.sizes(x + way * half, s) for way in STAR]
-        change = MARGIN * _change(seen)
-        keep = seen[0].excess() + change >= -ROUND_OFF
+        change = OPTIONS.margin * _change(seen)
+        keep = seen[0].excess() + change >= -OPTIONS.round_off
         if not keep.any():
             return np.full(3, np.nan), np.full(3, np.nan)
         x, known = x[keep], known.near(seen[0].take(keep), 2.0 * change[keep].max())
-        coarse = half > np.maximum(RESOLUTION * (np.ptp(x, axis=0) + 2.0 * half), SMALLEST)
+        coarse = half > np.maximum(OPTIONS.resolution * (np.ptp(x, axis=0) + 2.0 * half), OPTIONS.smallest)
         if not coarse.any():
             return _extremes([known.sizes(x + way * half, s) for way in CORNERS])
         half = np.where(coarse, 0.5 * half, half)

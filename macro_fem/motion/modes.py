@@ -9,7 +9,7 @@ carries load; what an obstacle pushes stays on it, whose curvature takes from K.
 Columns that hang beside each other are coupled only by line loads across: modes that share one frequency are counted
 once, with their number. A mesh gives each a frequency of its own, the farther off the rougher its shape is: what a
 smoother shape may explain counts to that. Left out are shapes that alternate from node to node, which are the mesh's
-own (`RESOLVED`), and those of slack parts, which nothing but inertia resists (`SLACK_HZ`).
+own (`MODES.resolved`), and those of slack parts, which nothing but inertia resists (`MODES.slack_hz`).
 """
 
 from collections.abc import Callable
@@ -42,26 +42,37 @@ from rve.common.drawing.plane import Scale
 from rve.common.drawing.space import THREE_QUARTERS, add, add_length, below, look, new_plotter, surface
 from rve.common.files import write_mesh_file
 
-CARRIES = 1e-6
-"""Points with a larger part of the largest line load than this carry load, and hold nodes on the locked surface."""
-SHIFT = 1e-2
-"""The shift is minus this part of the mean line load, times twice the area over mass and size squared: about g over the
-size of a curtain that hangs."""
-SLACK_HZ = 2e-3
-"""Frequencies below this part of that pendulum's are those of slack parts."""
-RESOLVED = 0.9
-"""Consistent over lumped kinetic energy of a shape that the mesh resolves: 1 for a smooth one, 1/4 for the roughest."""
-SMOOTH = 2e-2
-"""Up to this part of the stored energy what averaged gradients lack is the error of the mesh, which is taken off."""
+
+@dataclass(frozen=True)
+class ModeOptions:
+    """Numbers of the search for modes."""
+
+    carries: float = 1e-6
+    """Points with a larger part of the largest line load than this carry load, and hold nodes on the locked surface."""
+    shift: float = 1e-2
+    """The shift is minus this part of the mean line load, times twice the area over mass and size squared: about g over
+    the size of a curtain that hangs."""
+    slack_hz: float = 2e-3
+    """Frequencies below this part of that pendulum's are those of slack parts."""
+    resolved: float = 0.9
+    """Consistent over lumped kinetic energy of a shape that the mesh resolves: 1 for a smooth one, 1/4 for the
+    roughest."""
+    smooth: float = 2e-2
+    """Up to this part of the stored energy what averaged gradients lack is the error of the mesh, which is taken
+    off."""
+    rounding: float = 1e-9
+    """Compliance of constraints relative to the stiffness: what repeats itself stays solvable."""
+    most: int = 800
+    block: int = 64
+    """Shapes looked at, and those whose roughness is found together."""
+
+
+MODES = ModeOptions()
 EXACT, DOUBT = {2: 2e-3, 3: 1e-2}, {2: 1.0, 3: 1.5}
 """How exact frequencies of smooth shapes are, in the plane and in space, where the locked surface stiffens the mesh;
 the power of 1 - roughness by which others are too large. Larger values count more shapes to smoother ones."""
 SQUARE = [[0, 1], [1, 2]]
 """Places in triples (11, 12, 22) of the components of their tensors."""
-ROUNDING = 1e-9
-"""Compliance of constraints relative to the stiffness: what repeats itself stays solvable."""
-MOST, BLOCK = 800, 64
-"""Shapes looked at, and those whose roughness is found together."""
 RECORD = "modes.json"
 SHOWN = 0.15
 """The largest displacement of a shape in pictures over the size of the curtain."""
@@ -97,32 +108,32 @@ def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
     n = M.shape[0]
     C, most = sparse.csr_matrix((0, n)), n // 2
     if in_space:
-        pushed, curvature = pushed_points(solution, CARRIES)
+        pushed, curvature = pushed_points(solution, MODES.carries)
         K, C = sparse.csc_matrix(K - T.T @ curvature @ T), sparse.vstack([_constraints(solution, T), pushed @ T])
         many = max(0, pushed.shape[0] - len(np.unique(pushed.indices // 3)))  # rows beside each other repeat themselves
         most = (n - C.shape[0] + many) // 2
     if not 1 <= number <= most:
         raise InputError(f"number = {number}: a mesh of this size tells from 1 to {max(most, 0)} modes")
     pendulum = _pendulum(solution)
-    sigma = -SHIFT * pendulum
+    sigma = -MODES.shift * pendulum
     inverse = LinearOperator((n, n), matvec=_solver(K - sigma * M, C), dtype=np.float64)
-    asked, least, last = min(most, 3 * number + 8), SLACK_HZ**2 * pendulum, min(most, max(MOST, 6 * number))
+    asked, least, last = min(most, 3 * number + 8), MODES.slack_hz**2 * pendulum, min(most, max(MODES.most, 6 * number))
     while True:
         square, shape = eigsh(K, asked, M, sigma=sigma, OPinv=inverse, v0=np.linspace(1.0, 2.0, n), tol=1e-12)
         is_taut = square > least
         square, shape = square[is_taut], shape[:, is_taut]
         ratio = (shape * (M @ shape)).sum(axis=0) / (shape * (lumped @ shape)).sum(axis=0)
         shapes = (T @ shape).T.reshape(-1, solution.problem.disc.n_nodes, 3)
-        blocks = np.split(shapes, range(BLOCK, len(shapes), BLOCK))
+        blocks = np.split(shapes, range(MODES.block, len(shapes), MODES.block))
         rough = np.concatenate([_roughness(solution, block) for block in blocks])
         frequency = np.sqrt(square) / (2.0 * np.pi)
-        groups = _distinct(frequency, rough, ratio > RESOLVED, 3 if in_space else 2)
+        groups = _distinct(frequency, rough, ratio > MODES.resolved, 3 if in_space else 2)
         if len(groups) > number or asked == last:
             break
         asked = min(last, 2 * asked)
     groups = groups[:number]
     first, multiplicity = [one[0] for one in groups], np.array([len(one) for one in groups], int)
-    frequency = frequency * np.sqrt(np.where(rough < SMOOTH, 1.0 - rough, 1.0))
+    frequency = frequency * np.sqrt(np.where(rough < MODES.smooth, 1.0 - rough, 1.0))
     if not len(first):
         raise InputError(
             f"number = {number}: this mesh tells no mode: the {last} lowest shapes are slack or change from node to "
@@ -147,7 +158,7 @@ def _distinct(frequency: Array, rough: Array, kept: np.ndarray, d: int) -> list[
     """
     groups: list[list[int]] = []
     known = np.maximum(1.0 - rough, 1e-9)
-    best = frequency * np.where(rough < SMOOTH, np.sqrt(known), 1.0)
+    best = frequency * np.where(rough < MODES.smooth, np.sqrt(known), 1.0)
     for k in sorted(np.flatnonzero(kept).tolist(), key=lambda k: float(rough[k])):
         lead = best[[one[0] for one in groups]] / frequency[k]
         far = np.abs(np.log(lead)) + np.log(known[k]) * np.where(lead < 1.0, DOUBT[d], 0.5)
@@ -216,7 +227,7 @@ def _of_one_component(solution: CurtainSolution) -> tuple[sparse.spmatrix, ...]:
 def _carries(solution: CurtainSolution) -> np.ndarray:
     """Which points carry load; others have no stiffness, not that of the tension that makes slack shapes unique."""
     size = solution.S[:, 0] + solution.S[:, 2]
-    return np.asarray(size > CARRIES * size.max(initial=0.0))
+    return np.asarray(size > MODES.carries * size.max(initial=0.0))
 
 
 def _constraints(solution: CurtainSolution, T: sparse.csc_matrix) -> sparse.csr_matrix:
@@ -234,7 +245,7 @@ def _constraints(solution: CurtainSolution, T: sparse.csc_matrix) -> sparse.csr_
     shape = (disc.n_nodes, 3 * disc.n_nodes)
     C = sparse.csr_matrix((values.ravel(), (row.ravel(), column.ravel())), shape=shape)
     length = sparse.linalg.norm(C, axis=1)
-    which = np.flatnonzero(length > CARRIES * length.max(initial=0.0))
+    which = np.flatnonzero(length > MODES.carries * length.max(initial=0.0))
     return sparse.csr_matrix(sparse.diags(1.0 / length[which]) @ C[which] @ T)
 
 
@@ -242,7 +253,7 @@ def _solver(A: sparse.spmatrix, C: sparse.spmatrix) -> Callable[[Array], Array]:
     """The function that gives u of A u + C^T y = b, C u = 0; constraints that repeat each other do no harm."""
     m = C.shape[0]
     size = float(abs(A.diagonal()).max())
-    whole = sparse.bmat([[A, size * C.T], [size * C, -ROUNDING * size * sparse.eye(m)]], format="csc") if m else A
+    whole = sparse.bmat([[A, size * C.T], [size * C, -MODES.rounding * size * sparse.eye(m)]], format="csc") if m else A
     lu = splu(sparse.csc_matrix(whole))
     return lambda b: np.asarray(lu.solve(np.concatenate([b.ravel(), np.zeros(m)]))[: b.size])
 

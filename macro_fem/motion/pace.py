@@ -23,18 +23,32 @@ COLUMNS = (
     "relative_gap",
 )
 """Columns of motion.csv; support_force_N is the size of the sum of the forces of all supports."""
-FIRST_STEPS, SMALLEST = 400, 1e-4
-"""Of a run without a step: the duration over its first step, and its least step, which impacts are met by, over it."""
-IMPACT, LEAST_IMPACT = 0.3, 1e-2
-"""Part of the loss by locking that a step must lose for good to count as an impact, and that loss over the largest
-kinetic energy. Smaller ones are steps after one of Euler's, whose first-order error fades, and small rebounds."""
-GAIN = 1e-3
-"""Part of the largest kinetic energy that a step may gain: more is a rebound of the impact of the step before."""
-SAFETY, LEAST_CHANGE, MOST_CHANGE = 0.9, 0.3, 1.5
-"""A step follows the cube root of its error; changes beyond 1 + sqrt(2) would make BDF2 unstable."""
 
-HALVINGS = 6
-"""How often a step that is not solved, or passes a body by, is taken in two halves."""
+
+@dataclass(frozen=True)
+class PaceOptions:
+    """How long steps are."""
+
+    first_steps: int = 400
+    smallest: float = 1e-4
+    """Of a run without a step: the duration over its first step, and its least step, which impacts are met by, over
+    it."""
+    impact: float = 0.3
+    least_impact: float = 1e-2
+    """Part of the loss by locking that a step must lose for good to count as an impact, and that loss over the largest
+    kinetic energy. Smaller ones are steps after one of Euler's, whose first-order error fades, and small rebounds."""
+    gain: float = 1e-3
+    """Part of the largest kinetic energy that a step may gain: more is a rebound of the impact of the step before."""
+    safety: float = 0.9
+    least_change: float = 0.3
+    most_change: float = 1.5
+    """A step follows the cube root of its error; changes beyond 1 + sqrt(2) would make BDF2 unstable."""
+    halvings: int = 6
+    """How often a step that is not solved, or passes a body by, is taken in two halves."""
+
+
+PACE = PaceOptions()
+
 
 End = Literal["converged", "stopped", "stalled", "infeasible", "pierced"]
 """How a run ended."""
@@ -110,7 +124,7 @@ class Mover(ABC, Generic[F, A]):
         if scene.motion.start == "hung" and not scene.support:
             scene.refuse("[motion] start = 'hung': nothing holds the curtain, use 'reference'")
         self.scene, self.motion, self.balls = scene, scene.motion, scene.of(Ball)
-        self.first_step = self.motion.step or self.motion.duration / FIRST_STEPS
+        self.first_step = self.motion.step or self.motion.duration / PACE.first_steps
         self.near = 1e-9 * self.motion.duration  # times that differ by less are one, s
         self.changes = any(isinstance(item, Timed) and item.history for item in scene.items)
         self.acting: A | None = None
@@ -199,7 +213,7 @@ class Mover(ABC, Generic[F, A]):
         pass a gust unseen. No such step is shorter than the least one, of which rounding leaves too little.
         """
         frame = start or replace(self.first_frame(), h=self.first_step)
-        end, near, least = self.motion.duration, self.near, SMALLEST * self.first_step
+        end, near, least = self.motion.duration, self.near, PACE.smallest * self.first_step
         releases = {item.release for item in self.scene.support if item.release is not None}
         timed = self.scene.of(Timed) if self.motion.step is None else ()
         kinks = {t for item in timed for t, _ in item.history}
@@ -214,7 +228,7 @@ class Mover(ABC, Generic[F, A]):
 
     def _accurate(self, frame: F, left: float) -> F:
         """The next frame, by a step that is as accurate as asked for and no longer than `left`, s, to the next stop."""
-        motion, least = self.motion, SMALLEST * self.first_step
+        motion, least = self.motion, PACE.smallest * self.first_step
         now, h, before = frame.moment, frame.h, None if frame.is_euler else frame.last
         while True:
             h = left / max(1, np.ceil(left / h - 1e-9)) if left < 2.0 * h else h
@@ -226,15 +240,15 @@ class Mover(ABC, Generic[F, A]):
             if motion.step is None:
                 guess = predicted(now, frame.last, h)
                 away = np.sqrt(((following.moment.x - guess.x) ** 2).sum(axis=1).mean()) / self.size
-                factor = SAFETY * (motion.accuracy / max(away, 1e-300)) ** (1.0 / 3.0)
+                factor = PACE.safety * (motion.accuracy / max(away, 1e-300)) ** (1.0 / 3.0)
                 if away > motion.accuracy and h > least:
-                    h = max(least, h * min(0.5, max(LEAST_CHANGE, factor)))
+                    h = max(least, h * min(0.5, max(PACE.least_change, factor)))
                     continue
-                after = max(least, h * min(MOST_CHANGE, max(LEAST_CHANGE, factor)))
+                after = max(least, h * min(PACE.most_change, max(PACE.least_change, factor)))
             most = max(frame.most, following.account.kinetic)
             return replace(following, h=after, is_euler=is_impact or motion.scheme == "euler", last=now, most=most)
 
-    def _advanced(self, frame: F, before: Moment | None, h: float, halvings: int = HALVINGS) -> F:
+    def _advanced(self, frame: F, before: Moment | None, h: float, halvings: int = PACE.halvings) -> F:
         """The frame after a step h or its two halves; the same one later if it is at rest and nothing else acts."""
         t = frame.moment.t
         has_moved = frame.most > 0.0 or frame.moment.v.any()
@@ -266,12 +280,12 @@ class Mover(ABC, Generic[F, A]):
         scheme = end.account.lost_by_scheme - start.account.lost_by_scheme
         lost = locking + scheme
         if before is None:
-            begins = max(most, start.account.kinetic) < LEAST_IMPACT * kinetic
-            return begins and locking > LEAST_IMPACT * kinetic and lost > IMPACT * locking
+            begins = max(most, start.account.kinetic) < PACE.least_impact * kinetic
+            return begins and locking > PACE.least_impact * kinetic and lost > PACE.impact * locking
         since, until = before.t - self.near, end.moment.t - self.near
         over = [item for item in self.scene.of(Timed) if any(since <= t < until for t, _ in item.history)]
-        is_lost = locking > LEAST_IMPACT * most and lost > IMPACT * locking
-        is_jump = scheme > LEAST_IMPACT * max(most, kinetic) and not all(isinstance(one, LiveLoad) for one in over)
-        is_thrown = end.late - lost > GAIN * most and bool(over)
-        is_back = end.rebound > LEAST_IMPACT * most or min(end.gain, -lost) > GAIN * most
+        is_lost = locking > PACE.least_impact * most and lost > PACE.impact * locking
+        is_jump = scheme > PACE.least_impact * max(most, kinetic) and not all(isinstance(one, LiveLoad) for one in over)
+        is_thrown = end.late - lost > PACE.gain * most and bool(over)
+        is_back = end.rebound > PACE.least_impact * most or min(end.gain, -lost) > PACE.gain * most
         return is_lost or is_jump or is_thrown or is_back

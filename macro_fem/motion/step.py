@@ -232,10 +232,19 @@ class TimeStep:
         }
 
 
-ROUNDS, SETTLED = 8, 1e-4
-"""How often tangent half-spaces are found anew at most, and reactions that may still turn, over all forces."""
-GAP, FIRST_GAP = 1e-10, 1.0
-"""Relative gap that a step is solved to, and that of its first state in energy scales."""
+@dataclass(frozen=True)
+class TurnOptions:
+    """Numbers of the rounds of a step."""
+
+    rounds: int = 8
+    settled: float = 1e-4
+    """How often tangent half-spaces are found anew at most, and reactions that may still turn, over all forces."""
+    gap: float = 1e-10
+    first_gap: float = 1.0
+    """Relative gap that a step is solved to, and that of its first state in energy scales."""
+
+
+TURNS = TurnOptions()
 
 
 def solve_step(
@@ -248,18 +257,18 @@ def solve_step(
     if problem.scene.solver.is_elastic:
         law, compliance = problem.elastic_law, problem.elastic_law.compliance
     load = fem.gather(step.dead + step.live)
-    path = PathOptions(gap=GAP, violation=1e-9, cones=cones, drawn=False, first_gap=FIRST_GAP)
+    path = PathOptions(gap=TURNS.gap, violation=1e-9, cones=cones, drawn=False, first_gap=TURNS.first_gap)
     place, walls = step.now.x, tangents(step.now.x)
-    for rounds in range(1, ROUNDS + 1):
+    for rounds in range(1, TURNS.rounds + 1):
         terms = Terms(compliance, walls=walls, inertia=inertia)
         result = solve_path(fem, law, load, fem.unknowns(place), problem.mesh.size, path, terms)
         place = fem.positions(result.z)
-        if not len(walls) or result.status != "converged" or rounds == ROUNDS:
+        if not len(walls) or result.status != "converged" or rounds == TURNS.rounds:
             break
         anew = tangents(place)
         turned = float(result.wall_forces @ np.linalg.norm(anew.normal - walls.normal, axis=1))
         turned /= float(np.abs(result.wall_forces).sum() + np.abs(load).sum() + inertia.force_scale)
-        if turned < SETTLED:
+        if turned < TURNS.settled:
             break
         walls, path = anew, replace(path, cones=result.cones)
     return result, walls

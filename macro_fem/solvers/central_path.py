@@ -26,19 +26,27 @@ from macro_fem.solvers.status import FREE, Evidence, Reach, load_scale
 from macro_fem.solvers.walls import WallRows, Walls
 from rve.common import Array, tell
 
-SETTLED = 1e-2
-"""Stagnation is checked only below this error; earlier, gap and residuals fall alternately."""
-PATIENCE = 30
-"""Steps below `SETTLED` without a new least error or half-space after which rounding stops the iteration. At half as
-many one in twenty of huge point loads on elastic rings ended so that goes on."""
-GOOD = 0.5
-"""A step is found anew with the half-spaces in its way if they leave less than this part of it,"""
-ANEW = 2
-"""but no more often than this in a row. More costs factorisations, less short steps."""
-INSIDE = 1e-3
-"""Relative margin in the law from which the answer is drawn back to a state. Larger: earlier, farther states."""
-MOST_DRAWN = 1e-3
-"""Longest part of the way to that state that the answer is drawn. More would hide a wrong answer."""
+
+@dataclass(frozen=True)
+class StopOptions:
+    """When a path that gets no nearer ends, and how its answer is drawn inside."""
+
+    settled: float = 1e-2
+    """Stagnation is checked only below this error; earlier, gap and residuals fall alternately."""
+    patience: int = 30
+    """Steps below `STOP.settled` without a new least error or half-space after which rounding stops the iteration. At
+    half as many one in twenty of huge point loads on elastic rings ended so that goes on."""
+    good: float = 0.5
+    """A step is found anew with the half-spaces in its way if they leave less than this part of it,"""
+    anew: int = 2
+    """but no more often than this in a row. More costs factorisations, less short steps."""
+    inside: float = 1e-3
+    """Relative margin in the law from which the answer is drawn back to a state. Larger: earlier, farther states."""
+    most_drawn: float = 1e-3
+    """Longest part of the way to that state that the answer is drawn. More would hide a wrong answer."""
+
+
+STOP = StopOptions()
 
 
 @dataclass(frozen=True)
@@ -121,7 +129,7 @@ def _follow(place: _Place, options: PathOptions) -> tuple[_Place, str, _Place, i
     while (stop := _find_stop(place, inner, options, steps)) is None:
         points = len(place.program.fem.disc.weight)
         tell(f"curtain of {points} points, gap {place.now.gap:.0e} down to {options.gap:.0e}")
-        after = None if waited > PATIENCE else _try_step(place, options, may_wait=held < ANEW)
+        after = None if waited > STOP.patience else _try_step(place, options, may_wait=held < STOP.anew)
         if after is None:
             return best, "stalled", inner, steps
         known, (program, state, is_moved, margin) = len(place.program.c), after
@@ -132,9 +140,9 @@ def _follow(place: _Place, options: PathOptions) -> tuple[_Place, str, _Place, i
         if not state.is_inside:
             return best, "stalled", inner, steps
         place = _Place.at(program, state, margin)
-        if place.interior_margin > inner.interior_margin and inner.interior_margin < INSIDE:
+        if place.interior_margin > inner.interior_margin and inner.interior_margin < STOP.inside:
             inner = place
-        waited += place.now.error < SETTLED and len(program.c) == known
+        waited += place.now.error < STOP.settled and len(program.c) == known
         if place.now.error < best.now.error:
             best, waited = place, 0
     return best if stop == "iterations" else place, stop, inner, steps
@@ -156,7 +164,7 @@ def _try_step(place: _Place, options: PathOptions, *, may_wait: bool) -> tuple[P
         margin = min(-float(violation.max()), float(program.rows.slack(after.z).min(initial=np.inf)))
         return program, after, step.dual > 0.0, margin
     program, state, shorter = join(program, state, step, missing, cut)
-    if may_wait and shorter.primal < GOOD * step.primal:
+    if may_wait and shorter.primal < STOP.good * step.primal:
         return program, state, False, -np.inf
     return program, advance(state, shorter), shorter.dual > 0.0, -np.inf
 
@@ -186,7 +194,7 @@ def _draw_inside(place: _Place, inner: _Place, options: PathOptions) -> _Place:
     share, near = 0.0, place
     while (outside := near.violation) > 0.0:
         share = max(1e-13, 0.5 * outside, 2.0 * share)
-        if share > MOST_DRAWN:
+        if share > STOP.most_drawn:
             return place
         z = place.state.z + share * (inner.state.z - place.state.z)
         near = replace(place, state=replace(place.state, z=z))

@@ -18,22 +18,30 @@ from macro_fem.solvers.walls import longest
 from rve.common import Array
 from rve.common.tensor import trace
 
-BOUNDARY = 0.98
-"""Part of the way to the boundary of the cones that a step may go. Closer to 1 the next steps become short."""
-NEAR = 0.9
-"""A missing half-space joins when it is nearer than this part of the distance to the nearest known one. Larger parts
-add more, smaller ones late, so that steps are cut short."""
-SHARE = 0.3
-"""A violated half-space enters with at most this part of the load of its point. Larger shares unbalance more."""
-ROUNDED = 1e-13
-"""Least relative distance from the boundary that double precision can tell from none."""
-STRAY = 1e-2
-"""A point gets no half-spaces while a cone vector of its own is off by more than this part of its radius."""
-IDLE = 0.03
-"""A half-space is idle below this part of its point's load and above this relative distance. Larger values drop more,
-some of which have to join again."""
-FLAT = 0.05
-"""A unit-trace S with a determinant below this (1/4 is the roundest) does not hold a point on its own."""
+
+@dataclass(frozen=True)
+class StepOptions:
+    """Numbers of a step."""
+
+    boundary: float = 0.98
+    """Part of the way to the boundary of the cones that a step may go. Closer to 1 the next steps become short."""
+    near: float = 0.9
+    """A missing half-space joins when it is nearer than this part of the distance to the nearest known one. Larger
+    parts add more, smaller ones late, so that steps are cut short."""
+    share: float = 0.3
+    """A violated half-space enters with at most this part of the load of its point. Larger shares unbalance more."""
+    rounded: float = 1e-13
+    """Least relative distance from the boundary that double precision can tell from none."""
+    stray: float = 1e-2
+    """A point gets no half-spaces while a cone vector of its own is off by more than this part of its radius."""
+    idle: float = 0.03
+    """A half-space is idle below this part of its point's load and above this relative distance. Larger values drop
+    more, some of which have to join again."""
+    flat: float = 0.05
+    """A unit-trace S with a determinant below this (1/4 is the roundest) does not hold a point on its own."""
+
+
+STEP = StepOptions()
 
 
 @dataclass(frozen=True)
@@ -140,7 +148,7 @@ def find_step(program: Program, state: ConeState, now: Measure, least_gap: float
     step, _, _ = newton.direction(unit * aim - square - second, row_aim, sigma)
     if not (np.all(np.isfinite(step.dz)) and np.all(np.isfinite(step.dy.head))):
         return None
-    return limited(program, state, step, BOUNDARY)
+    return limited(program, state, step, STEP.boundary)
 
 
 def advance(state: ConeState, step: ConeStep) -> ConeState:
@@ -166,10 +174,10 @@ def find_nearest(program: Program, now: Measure, E: Array, wanted: Vectors) -> t
     nearest = np.maximum.reduceat(known, cones.first)
     over = cut.violation / size
     is_missing = over > nearest + 1e-12 * (1.0 + np.abs(nearest))
-    is_missing &= (over > 0.0) | (over > NEAR * nearest)
-    if now.outside >= STRAY:
+    is_missing &= (over > 0.0) | (over > STEP.near * nearest)
+    if now.outside >= STEP.stray:
         stray = np.sqrt(now.r_s.dot(now.r_s)) / program.c
-        is_missing &= np.maximum.reduceat(stray, cones.first) < STRAY
+        is_missing &= np.maximum.reduceat(stray, cones.first) < STEP.stray
     return cut.violation / (cut.h + 0.5 * size), np.flatnonzero(is_missing), cut.take(is_missing)
 
 
@@ -180,7 +188,7 @@ def join(
     new lengths, its changes kept and of the new cones the primal part alone.
 
     Dual vectors are those of the central path for the distance at hand. Where that is small or negative the cone vector
-    is lifted, so that the half-space takes no more than `SHARE` of what its point carries; all dual vectors of the
+    is lifted, so that the half-space takes no more than `STEP.share` of what its point carries; all dual vectors of the
     point are then lowered together until it carries what it did, which unbalances forces least.
     """
     cones, order = with_cuts(program.cones, new, cut)
@@ -190,7 +198,7 @@ def join(
     load = program.cones.sum(program.carried(state.y) * program.c)[new]
     c = wider.c[fresh]
     asked = wider.slack(state.z, state.eps, fresh)
-    s = asked.lifted(np.clip(0.5 * mu / (SHARE * load), ROUNDED, LIFT) * c)
+    s = asked.lifted(np.clip(0.5 * mu / (STEP.share * load), STEP.rounded, LIFT) * c)
     y = soc.inverse(s, mu)
     eased = np.ones(len(cones.first))
     eased[new] = 1.0 / (1.0 + program.carried(y) * c / load)
@@ -202,7 +210,7 @@ def join(
     ds = d_wanted - (s - asked) * (1.0 - step.keep)
     more = zip((step.ds, step.dy, step.d_wanted), (ds, ds * 0.0, d_wanted), strict=True)
     ds, dy, d_wanted = (_merged(old, one, order) for old, one in more)
-    return wider, state, limited(wider, state, replace(step, ds=ds, dy=dy, d_wanted=d_wanted), BOUNDARY)
+    return wider, state, limited(wider, state, replace(step, ds=ds, dy=dy, d_wanted=d_wanted), STEP.boundary)
 
 
 def _merged(a: Vectors, b: Vectors, order: np.ndarray) -> Vectors:
@@ -218,10 +226,10 @@ def prune(program: Program, state: ConeState) -> tuple[Program, ConeState]:
     """
     cones = program.cones
     load = program.carried(state.y) * program.c
-    keep = (load > IDLE * cones.sum(load)[cones.point]) | (state.s.margin() / program.c < IDLE)
+    keep = (load > STEP.idle * cones.sum(load)[cones.point]) | (state.s.margin() / program.c < STEP.idle)
     det = cones.S[:, 0] * cones.S[:, 2] - cones.S[:, 1] ** 2
     roundest = np.maximum.reduceat(det, cones.first)[cones.point]
-    which = np.flatnonzero(keep | (det >= roundest) | (roundest < FLAT))
+    which = np.flatnonzero(keep | (det >= roundest) | (roundest < STEP.flat))
     few = replace(program, cones=cones.pick(which, cones.point[which], len(cones.first)))
     return few, replace(state, s=_chosen(state.s, which), y=_chosen(state.y, which))
 

@@ -11,7 +11,7 @@ x / (1 + g) hangs from supports drawn together by as much.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -25,15 +25,23 @@ from macro_fem.solvers.status import AT_LIMIT, FREE, Reach
 from macro_fem.solvers.walls import Walls
 from rve.common import Array
 
-RELAXATIONS = (AT_LIMIT, 1e-3)
-"""Relative stretches tried in turn: the answer is off by its square root, multipliers are its inverse."""
-LEAST_GAP = 1e-7
-"""Least gap asked for there: double precision leaves no less beside so large multipliers."""
-REACH_GAP = 1e-6
-"""Accuracy of the factor. It must stay below AT_LIMIT; smaller values cost steps and decide nothing."""
-SURE = 2.0
-"""The search for the factor ends early once it exceeds 1 by this many times AT_LIMIT. Larger ones search longer."""
-MOST_CUTS = 20
+
+@dataclass(frozen=True)
+class ReachOptions:
+    """Numbers of curtains at the stretch limit."""
+
+    relaxations: tuple[float, ...] = (AT_LIMIT, 1e-3)
+    """Relative stretches tried in turn: the answer is off by its square root, multipliers are its inverse."""
+    least_gap: float = 1e-7
+    """Least gap asked for there: double precision leaves no less beside so large multipliers."""
+    gap: float = 1e-6
+    """Accuracy of the factor. It must stay below AT_LIMIT; smaller values cost steps and decide nothing."""
+    sure: float = 2.0
+    """The search for the factor ends early once it exceeds 1 by this many times AT_LIMIT. Larger ones search longer."""
+    most_cuts: int = 20
+
+
+REACH = ReachOptions()
 
 Solve = Callable[[SupportedFem, Array, PathOptions, Walls], PathResult]
 """A rigid solver of a discretisation from unknowns (n,), outside of half-spaces on nodes."""
@@ -43,7 +51,7 @@ def reach_of(fem: SupportedFem, law: MembraneLaw, start: Array, size: float) -> 
     """How much farther apart the supports of a curtain of extent `size` (mm) could be; cheap where the unknowns `start`
     are slack everywhere.
     """
-    far = 1.0 + SURE * AT_LIMIT
+    far = 1.0 + REACH.sure * AT_LIMIT
     lower = _stretchable(law, fem.gradient(start), 1.0)
     if lower > far:
         return Reach(lower, np.inf)
@@ -56,7 +64,7 @@ def reach_of(fem: SupportedFem, law: MembraneLaw, start: Array, size: float) -> 
     def bounds(z: Array, dual: float) -> Reach:
         return Reach(_stretchable(law, wider.gradient(z), float(z[-1]) / size), max(0.0, -dual / size))
 
-    options = PathOptions(REACH_GAP, REACH_GAP, drawn=False, enough=lambda z, dual: bounds(z, dual).lower > far)
+    options = PathOptions(REACH.gap, REACH.gap, drawn=False, enough=lambda z, dual: bounds(z, dual).lower > far)
     result = solve_path(wider, law, load, np.zeros(wider.n), size, options)
     return bounds(result.z, result.dual)
 
@@ -66,7 +74,7 @@ def _stretchable(law: MembraneLaw, F: Array, factor: float) -> float:
     to where |t F L|^2 = c^2: the one with the least slack at a small F need not be the first that t F fills.
     """
     t = 1.0
-    for _ in range(MOST_CUTS if factor > 0.0 else 0):
+    for _ in range(REACH.most_cuts if factor > 0.0 else 0):
         slack = least_slack(law, green_strain(t * F))
         t /= float(np.sqrt(1.0 - min(slack, 1.0 - 1e-9)))
         if abs(slack) < 1e-12:
@@ -93,8 +101,8 @@ def solve_at_stretch_limit(
     """The answer for a law relaxed by a little more than the supports are out of reach, with its own bounds, and the
     relaxation; the last one tried if none converges.
     """
-    loose = replace(options, gap=max(LEAST_GAP, options.gap))
-    for more in RELAXATIONS:
+    loose = replace(options, gap=max(REACH.least_gap, options.gap))
+    for more in REACH.relaxations:
         relaxation = max(0.0, 1.0 / reach.lower - 1.0) + more
         nearer = fem.moved(fem.x_held / (1.0 + relaxation))
         near_walls = replace(walls, offset=walls.offset / (1.0 + relaxation))

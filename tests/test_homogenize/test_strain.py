@@ -12,7 +12,7 @@ from homogenize.fitting.rows import LockedRows, rows_from_provenance, rows_from_
 from homogenize.io import default_law
 from homogenize.laws.net import diagonal_net, ring_cell, ring_net
 from homogenize.laws.polyhedral import polyhedral_law
-from homogenize.query.strain import locked_strain
+from homogenize.query.strain import StrainOptions, locked_strain
 from homogenize.query.strain_bounds import strain_bounds
 from rve.common import InputError
 from rve.common.tensor import double_dot, dyad, from_disc, trace
@@ -71,8 +71,7 @@ def test_a_law_carries_loads_at_strains_of_its_own(law, least):
 
 
 def test_a_strain_that_is_not_found_says_so(ellipsoid, monkeypatch):
-    monkeypatch.setattr("homogenize.query.strain.NEWTON_STEPS", 1)
-    monkeypatch.setattr("homogenize.query.strain.PATH_STEPS", 1)
+    monkeypatch.setattr("homogenize.query.strain.OPTIONS", StrainOptions(newton_steps=1, path_steps=1))
     law = outer_law(rows_of(ellipsoid, disc_grid(4, 16)))
     tired = locked_strain(law, np.array([20.0]), np.array([30.0]))
     assert tired.status[0] == "no_convergence"

@@ -9,7 +9,7 @@ from macro_fem.job import solve
 from macro_fem.output.forces import obstacle_summary, pushes_of
 from macro_fem.scene.obstacles import Obstacle, PlacedObstacle
 from macro_fem.scene.scene import read_records, read_scene
-from macro_fem.shape_loop import solve_shape
+from macro_fem.shape_loop import ShapeOptions, solve_shape
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
 from tests.test_macro_fem.sheets import posed, sheet
 
@@ -225,10 +225,9 @@ def test_mesh_over_the_edge_of_a_box_is_held_by_roof_and_front(fitted_law):
     assert way[1] == pytest.approx(1000.0 * 250.0 * DENSITY, rel=0.05)
 
 
-def test_rounds_that_are_cut_short_end_by_name(fitted_law, monkeypatch):
-    monkeypatch.setattr("macro_fem.shape_loop.ROUNDS", 1)
+def test_rounds_that_are_cut_short_end_by_name(fitted_law):
     problem = posed(rope(8), fitted_law)
-    solution = solve_shape(problem, None, solve_problem)
+    solution = solve_shape(problem, None, solve_problem, options=ShapeOptions(rounds=1))
     assert solution.status == "unsettled"
     assert "has not settled after 1 rounds" in solution.message
 

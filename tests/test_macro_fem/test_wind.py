@@ -11,7 +11,7 @@ from macro_fem.curtain import solve_convex, solve_problem
 from macro_fem.drag import P2_PARTS, front_of, wind_density, wind_summary
 from macro_fem.scene.loads import drag_coefficient, ring_solidity
 from macro_fem.scene.scene import read_scene
-from macro_fem.shape_loop import solve_shape
+from macro_fem.shape_loop import ShapeOptions, solve_shape
 from rve.common import InputError
 from tests.test_macro_fem.sheets import posed, sheet
 
@@ -209,10 +209,9 @@ def test_a_drawn_track_in_wind_that_follows_comes_to_rest():
     assert told["drag_N"] < 4.0 / 3.0 * 0.5 * 1.25 * 225.0 * told["front_area_m2"]
 
 
-def test_wind_without_rest_says_so(monkeypatch):
-    monkeypatch.setattr("macro_fem.shape_loop.ROUNDS", 2)
+def test_wind_without_rest_says_so():
     problem = posed(hung({"kind": "top"}, {"speed": 30.0, "follows": True}, cells=2))
-    solution = solve_shape(problem, None, solve_convex)
+    solution = solve_shape(problem, None, solve_convex, options=ShapeOptions(rounds=2))
     assert solution.status == "unsettled"
     assert "has no rest; take less wind, a heavier bar at its lower edge, or a pressure that" in solution.message
 
