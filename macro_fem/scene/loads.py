@@ -63,7 +63,7 @@ def nodal_forces(
 ) -> Array:
     """All loads (n_nodes, d) in N; live ones (edges, points, patches, wind) are scaled by `factor`, weights are not.
 
-    Wind with a speed is as on the flat sheet square to it, and wind that follows is none of them: see `macro_fem.drag`.
+    Wind with a speed is as on the flat sheet square to it, and wind that follows is none of them: see `curtain.wind`.
     """
     dead = load_vector(disc, weight_per_area(scene, cell))
     dead += bar_masses(scene, mesh, disc)[:, None] * scene.vector(scene.load.acceleration)

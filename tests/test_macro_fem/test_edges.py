@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from homogenize.laws.net import diagonal_net
+from macro_fem.curtain import make_problem
 from macro_fem.output.files import summarize
-from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.edges import named_edges
 from macro_fem.scene.meshing.mesh import build_mesh, mesh_outline, refine
 from macro_fem.scene.scene import read_scene

@@ -6,9 +6,9 @@ from functools import cached_property
 
 import numpy as np
 
+from macro_fem.curtain.problem import CurtainProblem, gathered_start
 from macro_fem.fem.assembly import gradient, internal_force, load_vector
 from macro_fem.fem.cells import padded, recovered
-from macro_fem.problem import CurtainProblem, gathered_start
 from macro_fem.scene.support_kinds import Track
 from macro_fem.solvers.cones import Cones, green_strain, least_slack
 from macro_fem.solvers.status import FREE, ROUNDING, Evidence, Judged, Reach, Settling, Verdict, judged, load_scale
@@ -41,7 +41,7 @@ class CurtainSolution(Judged):
     what the numbers of an answer must not exceed, `reach` how much farther apart the supports could be, `relaxation` by
     how much the law was relaxed, whose bounds primal and dual then are; None for the law as it is. `second_step`:
     whether forces are those of elastic rings by a second step, and why; None where that is no question. `settling`: how
-    far the rounds of `macro_fem.shape_loop` have come, None where the problem is convex.
+    far the rounds of `macro_fem.curtain.shape` have come, None where the problem is convex.
     """
 
     problem: CurtainProblem

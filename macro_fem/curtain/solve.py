@@ -12,12 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from macro_fem.curtain.problem import CurtainProblem, gathered_start, stabilising_tension
+from macro_fem.curtain.shape import solve_shape
+from macro_fem.curtain.solution import CurtainSolution, InnerForces, slackened
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.problem import CurtainProblem, gathered_start, stabilising_tension
 from macro_fem.scene.meshing.mesh import components
 from macro_fem.scene.supports import check_pins
-from macro_fem.shape_loop import solve_shape
-from macro_fem.solution import CurtainSolution, InnerForces, slackened
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import Cones, first_cones, green_strain
 from macro_fem.solvers.path import COUNTED, PATH, PathOptions, PathResult, Terms
@@ -41,8 +41,8 @@ RANK = 1e-9
 
 
 def solve_problem(problem: CurtainProblem, start: CurtainSolution | None = None) -> CurtainSolution:
-    """The curtain of a discrete problem, by the solver its scene names; in rounds (`macro_fem.shape_loop`) with bodies,
-    or wind on the present shape.
+    """The curtain of a discrete problem, by the solver its scene names; with bodies or wind on its shape in rounds
+    (`macro_fem.curtain.shape`).
 
     `start` is a curtain on the same mesh, say that of the last load step: its half-spaces are the first ones, the first
     positions are near its own, and its matrix pattern and symbolic factor are kept.

@@ -1,0 +1,6 @@
+"""The curtain at rest: problem, solution, contact with bodies, wind on the present shape."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""The names for other folders, listed in `__init__.pyi`: their modules are imported when they are first used."""
