@@ -85,7 +85,8 @@ def _printed_every(period_s: float) -> Listener:
     def listen(work: str) -> None:
         nonlocal due
         if work and time.monotonic() >= due:
-            print(work, file=stream, flush=True)
+            stream.write(f"{work}\n")
+            stream.flush()
             due = time.monotonic() + period_s
 
     return listen
