@@ -115,6 +115,12 @@ class Nearby:
         cells, part, _ = self._nearest(x, area)
         return np.asarray(np.tensordot(part, self.P[cells], axes=1) / part.sum())
 
+    def sides(self, x: Array) -> tuple[float, float]:
+        """Side in mm, as root of the area, of the triangles in the average at x (2,): the mean by area, the largest."""
+        cells, part, _ = self._nearest(x)
+        areas = np.abs(signed_areas(self.corners[cells]))
+        return float(np.sqrt(part @ areas / part.sum())), float(np.sqrt(areas[part > SAME * part.sum()].max()))
+
     def chord(self, x: Array, m: Array) -> float:
         """Longest part in mm of the line from x (2,) along m (2,) that lies in one of the averages centred on it."""
         steps = STEPS * self._nearest(x)[2]

@@ -117,15 +117,12 @@ def _too_coarse(
     solution: CurtainSolution, near: Nearby, known: Strength, mean: Extreme, pointwise: float
 ) -> str | None:
     """Which mesh is needed at the largest average, where it lies in cells too large for it and not evenly loaded."""
-    problem = solution.problem
-    mesh, area = problem.mesh.mesh, problem.disc.cell_area
-    touching = np.abs(mesh.p[:, mesh.t] - mean.at[:, None, None]).max(axis=0) < 1e-9 * problem.mesh.size
-    side, needed = float(np.sqrt(area[touching.any(axis=0)].max())), FINE * float(np.sqrt(near.area))
+    (side, largest), needed = near.sides(mean.at), FINE * float(np.sqrt(near.area))
     wide = float(known.utilisation(near.mean(mean.at, (WIDER * side) ** 2)[None])[0])
     if side <= needed or pointwise <= max(EVEN * wide, UNLOADED):
         return None
-    spec = problem.scene
-    cells = math.ceil(spec.mesh.cells * side / needed)
+    spec = solution.problem.scene
+    cells = math.ceil(spec.mesh.cells * largest / needed)  # meshes of more cells are as uneven
     more = ", as in a mesh file" if isinstance(spec.curtain, MeshFile) else f", as with cells = {cells}"
     return TOO_COARSE.format(nearest(solution, mean.at)[0], digits(side), digits(needed), more)
 
