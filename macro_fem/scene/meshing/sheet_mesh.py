@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import counterclockwise, signed_areas
-from macro_fem.scene.meshing.edges import facets_between, named_edges
+from macro_fem.scene.meshing.edges import Border, border_of, boundary_loops, facets_between
 from macro_fem.scene.meshing.mesh_files import MAX_TRIANGLES, read_mesh_file
 from macro_fem.scene.meshing.nodes import least_sine
 from macro_fem.scene.shapes import MeshFile
@@ -31,8 +31,8 @@ CORNERS = {"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4}
 """Corners of the cells of a sheet, by meshio's name of their type."""
 
 
-def read_mesh(curtain: MeshFile, source: Path) -> tuple[Any, dict[str, np.ndarray], tuple[str, ...]]:
-    """The plane mesh of scikit-fem in a file, its edges as facet numbers per name, and sentences on what was mended.
+def read_mesh(curtain: MeshFile, source: Path) -> tuple[Any, Border, tuple[str, ...]]:
+    """The plane mesh of scikit-fem in a file, its border, and sentences on what was mended.
 
     Quadrilaterals are cut in four. A curtain.vtu is its reference state.
 
@@ -47,7 +47,7 @@ def read_mesh(curtain: MeshFile, source: Path) -> tuple[Any, dict[str, np.ndarra
         _check_fit(mesh)
         groups, empty = _named_lines(data, mesh, number)
         notes = tuple(f"{curtain.file}: {note}" for note in (*second_order, *joined, *empty))
-        return mesh, named_edges(mesh, [], groups), notes
+        return mesh, border_of(mesh.p.T, boundary_loops(mesh), groups), notes
     except InputError as error:
         raise InputError(f"{source}: [curtain] file = {shown(curtain.file)}: {error}") from error
 
