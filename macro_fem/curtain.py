@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from macro_fem.fem.cells import components
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.problem import CurtainProblem, gathered_start, stabilising_tension
-from macro_fem.scene.meshing.mesh import components
 from macro_fem.scene.supports import check_pins
 from macro_fem.shape_loop import solve_shape
 from macro_fem.solution import CurtainSolution, InnerForces, slackened

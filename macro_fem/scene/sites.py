@@ -67,13 +67,14 @@ class Held:
 class Places(NamedTuple):
     """Where a support holds an outline: single `points` (k, 2), or the named `edge` as a whole.
 
-    Of hooks: the longest line of the edge and the longest pitch, mm.
+    Of hooks: the longest line of the edge and the longest pitch, mm. `nodes` (k,): those of a mesh at the points.
     """
 
     points: Array = np.zeros((0, 2))
     edge: str = ""
     length: float = 0.0
     pitch: float = 0.0
+    nodes: Index = NONE
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +111,11 @@ class Support(Timed):
     release: Time | None = field(default=None, repr=False)
 
     def places(self, border: Border) -> Places:
-        """Where it holds a sheet with this border, divided for a mesh or that of one; InputError if it cannot."""
-        raise NotImplementedError
+        """Where it holds a sheet with this border, divided for a mesh, by default all of its edge.
+
+        InputError if there is no such place.
+        """
+        return Places(edge=getattr(self, "edge", self.edge_needed) or "")
 
     def hold(self, nodes: SupportNodes) -> Held:
         """The components and positions of the nodes that it holds; InputError if it asks for what has no effect."""
@@ -159,7 +163,7 @@ class Hanging(Support):
         InputError for a pitch that is longer than the edge, or finer than its facets.
         """
         if not self.has_hooks:
-            return Places(edge="top")
+            return super().places(border)
         points, longest = [], (0.0, 0.0)
         named = f"{self.where} count = {self.count}:" if self.pitch is None else f"{self.where} pitch = {self.pitch:g}:"
         for line in border.lines("top"):

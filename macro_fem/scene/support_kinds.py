@@ -45,9 +45,6 @@ class Top(Support, kind="top"):
     gather: tables.Factor = 1.0
     move: Way = NO_MOVE
 
-    def places(self, border: Border) -> Places:
-        return Places(edge="top")
-
     def hold(self, nodes: SupportNodes) -> Held:
         return self._held("top", nodes, self._narrowed(nodes))
 
@@ -55,9 +52,6 @@ class Top(Support, kind="top"):
 @dataclass(frozen=True)
 class Rail(Support, kind="rail"):
     """The top edge held in height, and in space in z too, free to slide sideways."""
-
-    def places(self, border: Border) -> Places:
-        return Places(edge="top")
 
     def hold(self, nodes: SupportNodes) -> Held:
         return self._held("rail", nodes, nodes.X, "yz")
@@ -124,9 +118,6 @@ class Edge(Support, kind="edge"):
         if self.along and any(map(leaves_plane, self.along)):
             return f"along = {[list(point) for point in self.along]} leaves the plane"
         return super().space_reason
-
-    def places(self, border: Border) -> Places:
-        return Places(edge=self.edge)
 
     def hold(self, nodes: SupportNodes) -> Held:
         if self.along is not None:

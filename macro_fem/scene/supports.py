@@ -6,11 +6,11 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from macro_fem.fem.cells import cross, in_space_of
+from macro_fem.fem.cells import components, cross, in_space_of
 from macro_fem.fem.discretization import Discretization
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.meshing.edges import in_order
-from macro_fem.scene.meshing.mesh import CurtainMesh, components, edge_nodes
+from macro_fem.scene.meshing.mesh import CurtainMesh, edge_nodes
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.sites import PARALLEL, Held, Sliding, SupportNodes, sliding_nodes, sloping
@@ -120,12 +120,13 @@ def build_supports(
 
 def _held(scene: Scene, number: int, mesh: CurtainMesh, disc: Discretization, factor: float) -> Held:
     """What a support holds of a discretisation: of an edge also its facets, and of P2 their middles between ends."""
-    item, border = scene.support[number], mesh.border
+    item, places, border = scene.support[number], mesh.places[number], mesh.border
+    nodes = border.nodes(places.edge) if places.edge else places.nodes
     with scene.in_errors():
-        if number in mesh.points:
-            return item.hold(SupportNodes(mesh.points[number], border, scene.d, factor))
-        edge = item.places(border).edge
-        held = replace(item.hold(SupportNodes(border.nodes(edge), border, scene.d, factor)), facets=mesh.edges[edge])
+        held = item.hold(SupportNodes(nodes, border, scene.d, factor))
+    if not places.edge:
+        return held
+    held = replace(held, facets=mesh.edges[places.edge])
     if disc.element != "P2":
         return held
     place = np.zeros(len(border.points), np.int64)

@@ -164,9 +164,10 @@ def boundary_loops(mesh: Any) -> list[Index]:
 
 def paths(pairs: np.ndarray, points: Array) -> list[Line]:
     """Lines of nodes, each from its left end, made of pairs (m, 2) of neighbours; closed ones repeat their first."""
-    tree, found = cKDTree(points), []
+    nodes, found = np.unique(pairs), []
+    tree = cKDTree(points[nodes])
     for part in shapely.get_parts(shapely.line_merge(shapely.multilinestrings(points[pairs]))):
-        path = tree.query(shapely.get_coordinates(part))[1]
+        path = nodes[tree.query(shapely.get_coordinates(part))[1]]
         ends = [0, -1]
         if path[0] == path[-1]:
             path = np.roll(path[:-1], -np.lexsort(points[path[:-1]].T[::-1])[0])

@@ -12,8 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import shapely
 import skfem
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay, cKDTree
 
 from homogenize import CellInfo
@@ -25,7 +23,7 @@ from macro_fem.scene.meshing.nodes import with_nodes_at
 from macro_fem.scene.meshing.sheet_mesh import read_mesh
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
-from macro_fem.scene.sites import Hanging
+from macro_fem.scene.sites import Hanging, Places
 from macro_fem.scene.tables import PatchLoad, PointLoad
 from rve.common import Array, InputError, shown
 from rve.common.records import Index
@@ -41,28 +39,23 @@ CLEARANCE = 0.55
 
 
 @dataclass(frozen=True, eq=False)
-class HookRow:
-    """The hooks of one support: their nodes (k,), the longest line of the edge and the longest pitch, mm."""
-
-    nodes: Index
-    length: float
-    pitch: float
-
-
-@dataclass(frozen=True, eq=False)
 class CurtainMesh:
     """A scikit-fem mesh `mesh` and its named edges: facet numbers per name. `pattern` says how the cells lie.
 
-    `points`: the nodes of each support that holds single ones, by its number in the scene; `hooks`: those in rows.
-    `notes`: what was mended in its file.
+    `places`: what each support of the scene holds, with nodes where it is single points. `notes`: what was mended in
+    its file.
     """
 
     mesh: Any
     pattern: str
     edges: dict[str, Index] = field(repr=False)
-    points: dict[int, Index] = field(default_factory=dict, repr=False)
-    hooks: dict[int, HookRow] = field(default_factory=dict, repr=False)
+    places: tuple[Places, ...] = field(default=(), repr=False)
     notes: tuple[str, ...] = ()
+
+    @property
+    def hooks(self) -> dict[int, Places]:
+        """The hooks of each support that has some, by its number in the scene."""
+        return {number: one for number, one in enumerate(self.places) if one.pitch}
 
     @cached_property
     def border(self) -> Border:
@@ -121,14 +114,14 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     sheet = divide(scene, cell)
     _check_edges(scene, sheet)
     with scene.in_errors():
-        places = {number: item.places(sheet.border) for number, item in enumerate(scene.support)}
-    hooks_first = sorted(places, key=lambda number: not places[number].pitch)
-    single = {number: places[number].points for number in hooks_first if not places[number].edge}
+        places = [item.places(sheet.border) for item in scene.support]
+    single = [number for number, one in enumerate(places) if not one.edge]
+    single.sort(key=lambda number: not places[number].pitch)  # hooks first
     mesh, numbers = sheet.fill()
     wanted = [
         (f"[support] {scene.support[number].one} at [{x:g}, {y:g}]", (x, y))
-        for number, points in single.items()
-        for x, y in points.tolist()
+        for number in single
+        for x, y in places[number].points.tolist()
     ]
     loads: list[PointLoad | PatchLoad] = [*scene.of(PointLoad)]
     loads += [patch for patch in scene.of(PatchLoad) if patch.radius < _longest_side(mesh)]
@@ -136,11 +129,11 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     lines, wheres = {name: numbers[of] for name, of in sheet.border.edges.items()}, [what for what, _ in wanted]
     with scene.in_errors():
         mesh, lines, nodes = with_nodes_at(mesh, lines, np.array([at for _, at in wanted]).reshape(-1, 2), wheres)
-    parts = np.split(nodes, np.cumsum([len(points) for points in single.values()]))
-    points = dict(zip(single, parts, strict=False))
-    hooks = {n: HookRow(points[n], one.length, one.pitch) for n, one in places.items() if one.pitch}
+    parts = np.split(nodes, np.cumsum([len(places[number].points) for number in single]))
+    for number, part in zip(single, parts, strict=False):
+        places[number] = places[number]._replace(nodes=part)
     edges = {name: facets_between(mesh, pairs) for name, pairs in lines.items()}
-    return CurtainMesh(mesh, sheet.pattern, edges, points, hooks, sheet.notes)
+    return CurtainMesh(mesh, sheet.pattern, edges, tuple(places), sheet.notes)
 
 
 def _check_edges(scene: Scene, sheet: DividedSheet) -> None:
@@ -349,11 +342,3 @@ def refine(mesh: CurtainMesh, cells: np.ndarray) -> CurtainMesh:
     """The mesh with the given triangles cut in four and their neighbours as needed to fit (red, green, blue)."""
     finer = mesh.mesh.refined(np.asarray(cells))
     return replace(mesh, mesh=finer, edges=inherited_edges(mesh.mesh, finer, mesh.edges))
-
-
-def components(cells: np.ndarray, n_nodes: int) -> tuple[int, np.ndarray]:
-    """How many connected pieces the cells (n_cells, n_local) form, and the piece of each node (n_nodes,)."""
-    row = np.repeat(cells[:, 0], cells.shape[1])
-    graph = coo_matrix((np.ones(len(row)), (row, cells.ravel())), shape=(n_nodes, n_nodes))
-    number, label = connected_components(graph, directed=False)
-    return int(number), label
