@@ -14,9 +14,8 @@ from homogenize.laws.net import ring_net
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import MembraneLaw
 from macro_fem import read_scene
-from macro_fem.curtain import solve_problem
+from macro_fem.curtain import make_problem, solve_problem
 from macro_fem.fem.hung_law import HungLaw
-from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 from rve.common import InputError
 from rve.directions import product

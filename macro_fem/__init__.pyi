@@ -1,4 +1,5 @@
 from .answer import Solution as Solution
+from .curtain import CurtainSolution as CurtainSolution
 from .demand.rings import OnDemand as OnDemand
 from .job import compare as compare
 from .job import run_scene as run_scene
@@ -41,5 +42,4 @@ from .scene.tables import Solver as Solver
 from .scene.tables import Wind as Wind
 from .size import Size as Size
 from .size import largest_that_holds as largest_that_holds
-from .solution import CurtainSolution as CurtainSolution
 from .solvers.status import Status as Status

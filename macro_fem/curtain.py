@@ -12,12 +12,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from macro_fem.curtain import (
+    CurtainProblem,
+    CurtainSolution,
+    InnerForces,
+    gathered_start,
+    slackened,
+    solve_shape,
+    stabilising_tension,
+)
 from macro_fem.fem.cells import components
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.problem import CurtainProblem, gathered_start, stabilising_tension
 from macro_fem.scene.supports import check_pins
-from macro_fem.shape_loop import solve_shape
-from macro_fem.solution import CurtainSolution, InnerForces, slackened
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import Cones, first_cones, green_strain
 from macro_fem.solvers.path import COUNTED, PATH, PathOptions, PathResult, Terms

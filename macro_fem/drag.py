@@ -14,13 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
+from macro_fem.curtain import CurtainProblem, CurtainSolution
 from macro_fem.fem.assembly import gradient
 from macro_fem.fem.cells import counterclockwise, cross, recovered, signed_areas
-from macro_fem.problem import CurtainProblem
 from macro_fem.scene import loads
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.tables import Wind
-from macro_fem.solution import CurtainSolution
 from rve.common import Array
 from rve.common.records import Index
 

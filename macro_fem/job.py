@@ -14,11 +14,10 @@ from homogenize import (
 )
 from macro_fem.answer import RECORD, Solution, read_job
 from macro_fem.bounds.interval import admissible_problem, levels
-from macro_fem.curtain import solve_problem
+from macro_fem.curtain import CurtainSolution, make_problem, solve_problem
 from macro_fem.demand.rings import OnDemand, Rings
 from macro_fem.membrane import MembraneSolution
 from macro_fem.output.pictures import Pictures, draw_all
-from macro_fem.problem import make_problem
 from macro_fem.rings.every_ring import Comparison, EveryRing, EveryRingSolution
 from macro_fem.rings.ring_scene import in_material, ring_scene
 from macro_fem.scene.checks import check_bounds, check_scene, check_sizes
@@ -28,7 +27,6 @@ from macro_fem.scene.reading import load_scene
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import Combination, LiveLoad
-from macro_fem.solution import CurtainSolution
 from rve.common import Cache, InputError, check_out_job, checked, noted_if_stopped, part_of
 from rve.geometry import Cell
 

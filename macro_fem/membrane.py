@@ -13,7 +13,7 @@ import numpy as np
 
 from macro_fem.answer import Solution
 from macro_fem.bounds.interval import CurtainBounds
-from macro_fem.curtain import forces_note, with_forces
+from macro_fem.curtain import CurtainSolution, forces_note, with_forces
 from macro_fem.output import files
 from macro_fem.output.forces import change_of_forces, obstacle_summary, support_forces
 from macro_fem.output.pictures import (
@@ -31,7 +31,6 @@ from macro_fem.rings.localize import localize
 from macro_fem.scene.meshing.outline_files import write_outline
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Combination
-from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.status import Status
 from rve.common import InputError, check_out_file, checked, csv_text, write_text
 from rve.common.files import write_mesh_file

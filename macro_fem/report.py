@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from macro_fem.curtain import CurtainSolution
 from macro_fem.output.forces import first_of_largest, spot_loads
 from macro_fem.output.forces import loads_in_words as _loads
 from macro_fem.output.pictures import plot_line_loads, plot_utilisation
 from macro_fem.output.told import combination_lines, components, lean_note, links, order_lines, verdict
-from macro_fem.solution import CurtainSolution
 from rve.common import atomic_path, checksum, digits
 from rve.common.drawing.plane import BLUE, VERMILION, as_typed, new_figure
 from rve.common.optional import Axes, Figure

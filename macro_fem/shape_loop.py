@@ -18,13 +18,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from macro_fem.drag import wind_density
+from macro_fem.curtain import CurtainProblem, CurtainSolution, tangent_walls, wind_density
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import FINE
-from macro_fem.problem import CurtainProblem, tangent_walls
 from macro_fem.scene.loads import wind_per_area
 from macro_fem.scene.obstacles import PlacedObstacle
-from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.status import Settling, load_scale
 from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, digits, part_of

@@ -6,9 +6,9 @@ from functools import cached_property
 
 import numpy as np
 
+from macro_fem.curtain import CurtainProblem, gathered_start
 from macro_fem.fem.assembly import gradient, internal_force, load_vector
 from macro_fem.fem.cells import padded, recovered
-from macro_fem.problem import CurtainProblem, gathered_start
 from macro_fem.scene.support_kinds import Track
 from macro_fem.solvers.cones import Cones, green_strain, least_slack
 from macro_fem.solvers.status import FREE, ROUNDING, Evidence, Judged, Reach, Settling, Verdict, judged, load_scale

@@ -20,13 +20,13 @@ import msgspec
 import numpy as np
 
 from homogenize import LawInterval, MembraneLaw, default_law, fit
+from macro_fem.curtain import CurtainSolution
 from macro_fem.demand.rings import OnDemand
 from macro_fem.job import combined, solve, solve_membrane
 from macro_fem.scene.checks import check_scene
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import Rectangle
 from macro_fem.scene.tables import Bar, Combination, Item, Wind
-from macro_fem.solution import CurtainSolution
 from rve import solve_table, with_rings
 from rve.common import NO_CACHE, Cache, InputError, NotConverged, checksum, digits, part_of, tell, versions
 

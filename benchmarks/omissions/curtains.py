@@ -15,9 +15,8 @@ from homogenize.io import default_law
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import HalfSpaces, MembraneLaw
 from macro_fem import read_scene
-from macro_fem.curtain import solve_problem
+from macro_fem.curtain import CurtainProblem, gathered_start, make_problem, solve_problem, stabilising_tension
 from macro_fem.fem.assembly import load_vector
-from macro_fem.problem import CurtainProblem, gathered_start, make_problem, stabilising_tension
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import first_cones

@@ -15,11 +15,10 @@ from benchmarks.frame import Diagram, Section, curves, table
 from benchmarks.measure import Row, least_seconds
 from homogenize import default_law
 from macro_fem import read_scene
-from macro_fem.curtain import solve_problem
+from macro_fem.curtain import make_problem, solve_problem
 from macro_fem.motion.curtain import MotionFrame, MovingCurtain
 from macro_fem.motion.pace import Run
 from macro_fem.motion.stage import scene_at
-from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 
 SIDE = 800.0

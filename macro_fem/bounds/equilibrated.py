@@ -21,18 +21,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from macro_fem.curtain import CurtainProblem, CurtainSolution
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import Discretization, discretize
 from macro_fem.fem.hung_law import largest_stretch
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import nodal_forces
 from macro_fem.scene.meshing.mesh import CurtainMesh, facet_nodes
 from macro_fem.scene.sites import Sliding, sliding_nodes
 from macro_fem.scene.supports import Supports, pin_sliding, straight_bars
 from macro_fem.scene.tables import PointLoad
-from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.walls import Walls
 from rve.common import Array
 

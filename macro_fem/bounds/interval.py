@@ -19,14 +19,12 @@ from scipy.spatial import cKDTree
 
 from homogenize import MembraneLaw
 from macro_fem.bounds.equilibrated import DualProblem, at_dual_nodes, dual_problem
-from macro_fem.curtain import solve_problem
+from macro_fem.curtain import CurtainProblem, CurtainSolution, make_problem, slackened, solve_problem
 from macro_fem.fem.assembly import internal_force
 from macro_fem.fem.discretization import MEETS, reference_shapes
 from macro_fem.fem.hung_law import largest_stretch
-from macro_fem.problem import CurtainProblem, make_problem
 from macro_fem.scene.meshing.mesh import CurtainMesh, refine
 from macro_fem.scene.scene import Scene
-from macro_fem.solution import CurtainSolution, slackened
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import take_from
 from macro_fem.solvers.path import PathOptions, PathResult, Terms

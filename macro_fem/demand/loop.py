@@ -18,13 +18,12 @@ import numpy as np
 
 from homogenize import LawInterval, LockedRows, MembraneLaw, Strength, strength_of_table
 from macro_fem.bounds.interval import CurtainBounds, Loads, admissible_problem, bound, loads_of, mark, with_cones_of
-from macro_fem.curtain import solve_problem
+from macro_fem.curtain import CurtainSolution, solve_problem
 from macro_fem.demand.directions import between, first_directions, rounded, widest
 from macro_fem.demand.rings import ACCURACY, GAIN, Rings
 from macro_fem.output.strength import critical_load
 from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.scene import Scene
-from macro_fem.solution import CurtainSolution
 from rve import solve_table
 from rve.common import Array, part_of, tell
 from rve.common.tensor import disc, trace

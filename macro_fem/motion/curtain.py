@@ -8,7 +8,15 @@ from typing import Any
 import numpy as np
 
 from homogenize import MembraneLaw, with_material
-from macro_fem.curtain import is_alike, solve_problem
+from macro_fem.curtain import (
+    CurtainProblem,
+    CurtainSolution,
+    InnerForces,
+    check_breadth,
+    is_alike,
+    make_problem,
+    solve_problem,
+)
 from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
@@ -19,14 +27,12 @@ from macro_fem.output import strength
 from macro_fem.output.files import curtain_mesh
 from macro_fem.output.images import Draw
 from macro_fem.output.space_view import views
-from macro_fem.problem import CurtainProblem, check_breadth, make_problem
 from macro_fem.scene.checks import check_sizes
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import Sphere
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.sites import Support
 from macro_fem.scene.tables import Item
-from macro_fem.solution import CurtainSolution, InnerForces
 from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.path import PathResult, times
 from macro_fem.solvers.status import ROUNDING, Evidence

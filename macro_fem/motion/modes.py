@@ -24,7 +24,7 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from macro_fem.answer import read_job
-from macro_fem.curtain import forces_by
+from macro_fem.curtain import CurtainSolution, forces_by
 from macro_fem.fem.assembly import SparsityPattern, stiffness
 from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded, recovered
 from macro_fem.fem.discretization import ELEMENTS
@@ -36,7 +36,6 @@ from macro_fem.output.pictures import Pictures, draw_all
 from macro_fem.output.space_view import add_supports
 from macro_fem.scene.supports import build_supports
 from macro_fem.scene.tables import Bar, Wind
-from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError, NotConverged, job, versions
 from rve.common.drawing.plane import Scale
 from rve.common.drawing.space import THREE_QUARTERS, add, add_length, below, look, new_plotter, surface

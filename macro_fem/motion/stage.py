@@ -6,16 +6,22 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from macro_fem.drag import wind_density
+from macro_fem.curtain import (
+    CurtainProblem,
+    CurtainSolution,
+    kept_outside,
+    placed_obstacles,
+    tangent_walls,
+    touching_walls,
+    wind_density,
+)
 from macro_fem.fem.assembly import load_vector
 from macro_fem.motion.step import Moment, TimeStep, predicted
-from macro_fem.problem import CurtainProblem, kept_outside, placed_obstacles, tangent_walls, touching_walls
 from macro_fem.scene.loads import BREEZE, PER_MM2, areal_mass, bar_masses, breeze, nodal_forces
 from macro_fem.scene.moving import Ball, at_time
 from macro_fem.scene.obstacles import Body, PlacedObstacle, Sphere, unit
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Timed, Wind
-from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, digits
 

@@ -41,9 +41,9 @@ from typing import Any
 
 import numpy as np
 
+from macro_fem.curtain import CurtainProblem
 from macro_fem.fem.assembly import gradient, internal_force
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.problem import CurtainProblem
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import Cones, green_strain
 from macro_fem.solvers.path import Inertia, PathOptions, PathResult, Terms, times

@@ -8,16 +8,13 @@ import numpy as np
 
 from homogenize import CellInfo
 from macro_fem.bounds.interval import CurtainBounds
-from macro_fem.curtain import forces_by, forces_note
-from macro_fem.drag import wind_summary
+from macro_fem.curtain import CurtainProblem, CurtainSolution, forces_by, forces_note, wind_summary
 from macro_fem.fem.cells import counterclockwise, padded
 from macro_fem.output import line_load, strength
 from macro_fem.output.forces import support_forces
 from macro_fem.output.told import links
-from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.tables import Bar, LiveLoad
-from macro_fem.solution import CurtainSolution
 from rve.common import Array, versions
 from rve.common.factor import linear_solver
 

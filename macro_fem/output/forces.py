@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from macro_fem.curtain import CurtainSolution
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import padded
 from macro_fem.scene.loads import wind_per_area
 from macro_fem.scene.meshing.mesh import point_node
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind, in_3d
-from macro_fem.solution import CurtainSolution
 from rve.common import Array, digits
 
 TOUCHES = 1e-6

@@ -14,10 +14,10 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 
+from macro_fem.curtain import CurtainSolution
 from macro_fem.fem.cells import signed_areas
 from macro_fem.output.forces import PointForce
 from macro_fem.scene.loads import disk_areas
-from macro_fem.solution import CurtainSolution
 from rve.common import Array, Index
 
 WIDEST = 2.5

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from macro_fem.curtain import CurtainSolution
 from macro_fem.fem.cells import mean_at_corners
 from macro_fem.output import space_view, strength
 from macro_fem.output.forces import FORCES
 from macro_fem.output.images import in_turn, save_animation, save_panels
 from macro_fem.output.page import check_page, write_page
 from macro_fem.scene.scene import Scene
-from macro_fem.solution import CurtainSolution
 from rve.common import (
     AnyPath,
     Array,

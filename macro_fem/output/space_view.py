@@ -8,14 +8,13 @@ from functools import partial
 
 import numpy as np
 
+from macro_fem.curtain import CurtainSolution, placed_obstacles
 from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
 from macro_fem.output.forces import FORCES
 from macro_fem.output.images import Draw
-from macro_fem.problem import placed_obstacles
 from macro_fem.scene.obstacles import Box, Cylinder, Floor, PlacedObstacle, Sphere, Wall, unit
 from macro_fem.scene.sites import Hanging
 from macro_fem.scene.tables import in_3d
-from macro_fem.solution import CurtainSolution
 from rve.common import Array, digits
 from rve.common.drawing import space
 from rve.common.drawing.plane import Scale

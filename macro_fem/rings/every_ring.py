@@ -9,13 +9,13 @@ import numpy as np
 
 from homogenize import MembraneLaw
 from macro_fem.answer import Solution
+from macro_fem.curtain import CurtainSolution
 from macro_fem.output.files import rings as rings_of
 from macro_fem.output.forces import own_forces, support_forces
 from macro_fem.output.page import write_page
 from macro_fem.output.pictures import Drawings, Pictures
 from macro_fem.output.told import components
 from macro_fem.rings.ring_scene import RingScene
-from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError, check_fields, versions
 from rve.common.drawing.plane import new_axes, save_figure
 from rve.common.optional import Axes

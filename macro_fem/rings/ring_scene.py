@@ -12,6 +12,7 @@ from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from homogenize import CellInfo, MembraneLaw, cell_of, default_law, with_material
+from macro_fem.curtain import CurtainSolution
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.discretization import discretize
@@ -25,7 +26,6 @@ from macro_fem.scene.shapes import Rectangle
 from macro_fem.scene.sites import Sliding
 from macro_fem.scene.supports import build_supports, check_pins, pin_sliding
 from macro_fem.scene.tables import Bar, Wind, in_3d
-from macro_fem.solution import CurtainSolution
 from rve import solve_table
 from rve.common import Array, Index, InputError
 from rve.common.materials import material_of

@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 
 from homogenize.laws.net import diagonal_net
 from macro_fem import read_scene
+from macro_fem.curtain import make_problem
 from macro_fem.output.files import summarize
-from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.edges import border_of
 from macro_fem.scene.meshing.mesh import build_mesh, mesh_outline, refine
 from rve.common import InputError

@@ -6,8 +6,7 @@ from benchmarks.omissions import curtains
 from benchmarks.problems import square
 from homogenize import default_law
 from macro_fem import read_scene
-from macro_fem.curtain import solve_problem
-from macro_fem.problem import make_problem
+from macro_fem.curtain import make_problem, solve_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 
 LAW = default_law()

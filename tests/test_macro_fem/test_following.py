@@ -7,10 +7,8 @@ import pytest
 
 from homogenize import ClothLaw
 from macro_fem import read_scene
-from macro_fem.curtain import solve_problem
-from macro_fem.drag import wind_density
+from macro_fem.curtain import make_problem, solve_problem, wind_density
 from macro_fem.fem.assembly import load_vector
-from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.sites import Sliding
 from macro_fem.scene.supports import Supports

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from homogenize import Cut, default_law
-from macro_fem.problem import gathered_start
+from macro_fem.curtain import gathered_start
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cone_program import Program, compliance_root, find_first_state, measure
 from macro_fem.solvers.cone_step import find_nearest, find_step

@@ -17,10 +17,10 @@ from homogenize.laws.net import diagonal_net
 from homogenize.laws.protocol import CellInfo
 from macro_fem import read_scene
 from macro_fem.cli import main
+from macro_fem.curtain import make_problem
 from macro_fem.fem.cells import signed_areas
 from macro_fem.output.files import summarize
 from macro_fem.output.told import hooks_lines
-from macro_fem.problem import make_problem
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.loads import disk_areas
 from macro_fem.scene.meshing.mesh import build_mesh
