@@ -13,10 +13,10 @@ from homogenize import default_law
 from homogenize.laws.net import ring_net
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import MembraneLaw
+from macro_fem import read_scene
 from macro_fem.curtain import make_problem, solve_problem
 from macro_fem.fem.hung_law import HungLaw
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.scene import read_scene
 from rve.common import InputError
 from rve.directions import product
 from rve.equilibrium.system import Equations

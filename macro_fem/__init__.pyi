@@ -17,9 +17,9 @@ from .scene.obstacles import Floor as Floor
 from .scene.obstacles import Sphere as Sphere
 from .scene.obstacles import Start as Start
 from .scene.obstacles import Wall as Wall
+from .scene.reading import load_scene as load_scene
+from .scene.reading import read_scene as read_scene
 from .scene.scene import Scene as Scene
-from .scene.scene import load_scene as load_scene
-from .scene.scene import read_scene as read_scene
 from .scene.shapes import Disk as Disk
 from .scene.shapes import Mesh as Mesh
 from .scene.shapes import MeshFile as MeshFile

@@ -8,7 +8,8 @@ from typing import Any
 from homogenize import MembraneLaw, default_law, load_law
 from macro_fem.output.forces import support_rows
 from macro_fem.output.pictures import Drawings, Pictures, draw_all
-from macro_fem.scene.scene import Scene, load_scene
+from macro_fem.scene.reading import load_scene
+from macro_fem.scene.scene import Scene
 from macro_fem.solvers.status import Status
 from rve.common import check_out_job, checked, csv_text, job, require, write_text
 from rve.common.optional import Axes, DataFrame

@@ -75,7 +75,7 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
     from macro_fem.demand.rings import ring_options
     from macro_fem.job import run_scene
     from macro_fem.output.told import curtain_lines, default_law_lines, motion_lines
-    from macro_fem.scene.scene import load_scene
+    from macro_fem.scene.reading import load_scene
 
     files = {name: more.pop(name) for name in ("picture", "animation", "html", "report", "dxf")}
     asked = ring_options(law=law_path, **more)
@@ -135,7 +135,7 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
     from homogenize import interval_or_law
     from macro_fem.demand.rings import ring_options
     from macro_fem.output.pictures import Pictures
-    from macro_fem.scene.scene import load_scene
+    from macro_fem.scene.reading import load_scene
     from macro_fem.size import find_size
     from macro_fem.trials import Sought
 
@@ -247,7 +247,7 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animatio
     from macro_fem.motion.files import run_motion
     from macro_fem.output.told import default_law_lines, every_ring_lines, motion_lines
     from macro_fem.rings.cost import ring_cost
-    from macro_fem.scene.scene import load_scene
+    from macro_fem.scene.reading import load_scene
 
     say(*default_law_lines(law_path))
     plane, law = () if how["space"] else ("--plane",), () if law_path is None else ("--law", law_path)
@@ -279,7 +279,7 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: Any, out: Pa
     from homogenize import load_law
     from macro_fem.job import compare as solve_both
     from macro_fem.output.told import default_law_lines
-    from macro_fem.scene.scene import load_scene
+    from macro_fem.scene.reading import load_scene
 
     if out is not None:
         check_out_file(out, inputs=[scene, law_path])

@@ -23,7 +23,8 @@ from macro_fem.rings.ring_scene import in_material, ring_scene
 from macro_fem.scene.checks import check_bounds, check_scene, check_sizes
 from macro_fem.scene.meshing.mesh import build_mesh, columns
 from macro_fem.scene.moving import scaled
-from macro_fem.scene.scene import Scene, load_scene
+from macro_fem.scene.reading import load_scene
+from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import Combination, LiveLoad
 from rve.common import Cache, InputError, check_out_job, checked, noted_if_stopped, part_of

@@ -18,9 +18,9 @@ import pytest
 from homogenize.io import DEFAULT_LAW, default_law, load_law
 from homogenize.laws.cloth import ClothLaw
 from homogenize.laws.net import ring_net
+from macro_fem import load_scene
 from macro_fem.rings.curtain import read_curtain
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.scene import load_scene
 from rve.common import InputError, checksum, numbers_of
 from rve.directions import parse_angles, read_loads
 from rve.geometry import Cell

@@ -16,8 +16,6 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 BELOW: dict[str, tuple[str, ...]] = {"rve": (), "homogenize": ("rve",), "macro_fem": ("rve", "homogenize")}
 HEAVY = ("matplotlib", "pyvista", "vtk", "plotly", "clarabel", "meshio", "skfem", "pandas", "sksparse")
-CIRCLES = ({"checks", "meshing.mesh", "scene", "sites", "support_kinds"},)
-"""Circles of files that are left, modules of `macro_fem.scene`: none may join them."""
 
 
 def imported_names(source: str) -> list[str]:
@@ -104,23 +102,10 @@ def test_sub_packages_import_downwards(package):
 
 @pytest.mark.parametrize("package", BELOW)
 def test_files_import_downwards(package):
-    """Without the circles that are left, whose imports among each other are not looked at."""
-    graph = files(package)
-    for circle in CIRCLES:
-        names = {f"macro_fem.scene.{name}" for name in circle}
-        graph = {here: others - names if here in names else others for here, others in graph.items()}
     try:
-        list(TopologicalSorter(graph).static_order())
+        list(TopologicalSorter(files(package)).static_order())
     except CycleError as error:
         pytest.fail(f"files import each other: {' -> '.join(error.args[1])}")
-
-
-@pytest.mark.parametrize("circle", CIRCLES)
-def test_circles_that_are_left_are_circles(circle):
-    """One that is broken leaves the list."""
-    names = {f"macro_fem.scene.{name}" for name in circle}
-    with pytest.raises(CycleError):
-        list(TopologicalSorter({here: files("macro_fem")[here] & names for here in names}).static_order())
 
 
 def test_a_circle_of_files_through_a_face_is_seen():

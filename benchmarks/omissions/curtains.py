@@ -14,10 +14,10 @@ from benchmarks.problems import square
 from homogenize.io import default_law
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import HalfSpaces, MembraneLaw
+from macro_fem import read_scene
 from macro_fem.curtain import CurtainProblem, gathered_start, make_problem, solve_problem, stabilising_tension
 from macro_fem.fem.assembly import load_vector
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import first_cones
 from macro_fem.solvers.path import PATH, PathOptions, PathResult

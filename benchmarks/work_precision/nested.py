@@ -18,13 +18,14 @@ from benchmarks.measure import Row, decade, least_seconds
 from benchmarks.problems import loads, square
 from homogenize import CellInfo, LockedRows, MembraneLaw, law_interval
 from homogenize.fitting.fit import FitOptions, fit
+from macro_fem import read_scene
 from macro_fem.bounds.interval import admissible_problem
 from macro_fem.curtain import CurtainSolution, solve_problem
 from macro_fem.demand.directions import first_directions, rounded
 from macro_fem.demand.loop import solve_on_demand
 from macro_fem.demand.rings import Rings
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.scene import Scene, read_scene
+from macro_fem.scene.scene import Scene
 from rve import Cell, solve_table, support
 from rve.common import Array
 from rve.common.tensor import disc, from_disc, trace

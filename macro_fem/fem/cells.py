@@ -3,6 +3,7 @@ z towards the viewer."""
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
 from rve.common import Array
 from rve.common.records import Index
@@ -55,3 +56,11 @@ def in_space_of(plane: Array, d: int) -> Array:
 def padded(vectors: Array) -> Array:
     """Vectors (n, 2) or (n, 3) with a third component, 0 where there was none."""
     return in_space_of(vectors, 3)
+
+
+def components(cells: Index, n_nodes: int) -> tuple[int, Index]:
+    """How many connected pieces the cells, or links, (n_cells, n_local) form, and the piece of each node (n_nodes,)."""
+    row = np.repeat(cells[:, 0], cells.shape[1])
+    graph = sparse.coo_matrix((np.ones(len(row)), (row, cells.ravel())), shape=(n_nodes, n_nodes))
+    number, label = connected_components(graph, directed=False)
+    return int(number), label

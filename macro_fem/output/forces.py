@@ -11,8 +11,8 @@ from macro_fem.curtain import CurtainSolution
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import padded
 from macro_fem.scene.loads import wind_per_area
+from macro_fem.scene.meshing.mesh import point_node
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.sites import point_node
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind, in_3d
 from rve.common import Array, digits
 

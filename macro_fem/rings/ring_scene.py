@@ -19,11 +19,11 @@ from macro_fem.fem.discretization import discretize
 from macro_fem.rings.cost import ring_cost
 from macro_fem.scene.checks import OF_HOOKS, check_sizes, keys_set
 from macro_fem.scene.loads import PER_MM2, areal_mass, bar_masses, breeze, nodal_forces, weight_per_area, wind_per_area
-from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh, edge_nodes
 from macro_fem.scene.obstacles import Body
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import Rectangle
-from macro_fem.scene.sites import Sliding, edge_nodes
+from macro_fem.scene.sites import Sliding
 from macro_fem.scene.supports import build_supports, check_pins, pin_sliding
 from macro_fem.scene.tables import Bar, Wind, in_3d
 from rve import solve_table

@@ -1,24 +1,19 @@
 """Contradictions in a scene, keys that change nothing, and sizes that are more likely metres than millimetres."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import fields
 from itertools import pairwise
 from math import dist
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from macro_fem.scene.moving import Ball, scaled
 from macro_fem.scene.obstacles import Body
+from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.sites import Hanging
 from macro_fem.scene.support_kinds import Edge, Track
 from macro_fem.scene.tables import NO_MOVE, Bar, LiveLoad, PatchLoad, Timed, Vector, Wind, in_3d
 from rve.common.typed import BadField
-
-if TYPE_CHECKING:
-    from macro_fem.scene.scene import Scene
-
 
 OF_HOOKS, OF_REST = ("capacity", "rings_per_hook"), ("tolerance", "max_iterations", "stabilising_tension")
 """Keys that a curtain in motion does not read: of what holds and loads points, nor do rings, and of how it is solved at

@@ -18,10 +18,9 @@ from homogenize import CellInfo
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import cross
 from macro_fem.fem.discretization import Discretization
-from macro_fem.scene.meshing.mesh import CurtainMesh
+from macro_fem.scene.meshing.mesh import CurtainMesh, edge_nodes, facet_nodes, point_node
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.sites import edge_nodes, facet_nodes, point_node
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
 from rve.common import Array
 from rve.finite import cell_of_sides

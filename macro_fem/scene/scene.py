@@ -1,31 +1,24 @@
-"""A scene: curtain, what holds, loads and meets it, mesh and solver; from Python or from TOML."""
+"""A scene: curtain, what holds, loads and meets it, mesh and solver."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
-from macro_fem.scene import support_kinds
-from macro_fem.scene.checks import check_scene
-from macro_fem.scene.meshing.outline_files import read_outline
 from macro_fem.scene.moving import Ball, Motion
 from macro_fem.scene.obstacles import Obstacle, Start
-from macro_fem.scene.shapes import Mesh, MeshFile, Outline, Shape
+from macro_fem.scene.shapes import Mesh, MeshFile, Shape
 from macro_fem.scene.sites import Support
-from macro_fem.scene.tables import Combination, Item, LiveLoad, Load, Solver, Vector, in_3d, leaves_plane
-from rve.common import Array, InputError, Typed, check_fields, read_as, read_toml, read_typed, refuse_unknown, shown
+from macro_fem.scene.tables import Combination, Item, Load, Solver, Vector, in_3d, leaves_plane
+from rve.common import Array, InputError, check_fields, shown
 from rve.common.materials import described
-from rve.common.typed import not_one_of
 
 Kind = TypeVar("Kind")
-PARTS: dict[str, type[Typed]] = {"mesh": Mesh, "load": Load, "solver": Solver, "start": Start, "motion": Motion}
-"""Tables of a scene file that are one record."""
-LISTS: dict[str, type[Item]] = {"support": support_kinds.Support, "obstacle": Obstacle, "body": Ball}
-"""Lists of a scene file whose entries say their `kind`."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +67,14 @@ class Scene:
     def refuse(self, what: str) -> NoReturn:
         """InputError that names the file of the scene."""
         raise InputError(f"{self.source}: {what}")
+
+    @contextmanager
+    def in_errors(self, where: str = "") -> Iterator[None]:
+        """A block whose InputErrors name the file of the scene, and where in it."""
+        try:
+            yield
+        except InputError as error:
+            raise InputError(f"{self.source}: {where}{error}") from error
 
     def of(self, kind: type[Kind]) -> tuple[Kind, ...]:
         """The items of a kind: `scene.of(Bar)`."""
@@ -131,106 +132,3 @@ def _numbered(items: tuple[Any, ...]) -> tuple[Any, ...]:
         replace(item, name=f"{item.name} {number}") if number else item
         for item, number in zip(items, numbers, strict=True)
     )
-
-
-def load_scene(path: str | Path) -> Scene:
-    """The scene in a TOML file; InputError names file, key and value of the first thing that is wrong."""
-    with read_as("scene", path):
-        return read_scene(read_toml(path), path)
-
-
-def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
-    """The scene of parsed TOML tables.
-
-    >>> read_scene({"curtain": {"width": 1000.0, "height": 500.0}, "support": {"kind": "top"}}).support
-    (Top(gather=1.0, move=(0.0, 0.0)),)
-    """
-    tables = ("curtain", *LISTS, *PARTS, "material", "combination")
-    for name in data if isinstance(data, dict) else ():
-        if name not in tables and _home(name):
-            raise InputError(f"{source}: {shown(name)}: unknown table; {_home(name)}")
-    refuse_unknown(data, tables, f"{source}:", "table")
-    for entry in _entries(data.get("load")):
-        if "kind" in entry:
-            kind = entry["kind"]
-            told = f"write [[load.{kind}]]" if kind in [*LiveLoad.kinds] else not_one_of(kind, LiveLoad.kinds)
-            raise InputError(f"{source}: [load] kind = {shown(kind)}: {told}")
-    for name in ("curtain", "load"):
-        if not isinstance(data.get(name, {}), dict):
-            raise InputError(f"{source}: [{name}] is not one table")
-    if "curtain" not in data:
-        raise InputError(f"{source}: [curtain]: is missing")
-    load = data.get("load", {})
-    refuse_unknown(load, ("gravity", "steps", *LiveLoad.kinds), f"{source}: [load]")
-    items = []
-    for name, base in LISTS.items():
-        items += read_records(data.get(name, []), base.kinds, f"{source}: [{name}]")
-    for name, kind in LiveLoad.kinds.items():
-        items += read_records(load.get(name, []), kind, f"{source}: [load.{name}]")
-    single = data | {"load": {key: value for key, value in load.items() if key not in LiveLoad.kinds}}
-    curtain, notes = {"shape": "rectangle"} | data["curtain"], tuple[str, ...]()
-    if curtain["shape"] == "dxf":
-        curtain, notes = _from_dxf(curtain, Path(source))
-    shape = read_records(curtain, Shape.kinds | {"dxf": Outline}, f"{source}: [curtain]", "shape")[0]
-    parts: dict[str, Any] = {
-        name: read_typed(cls, single[name], f"{source}: [{name}]") for name, cls in PARTS.items() if name in single
-    }
-    for key in ("cells", "pattern"):
-        if isinstance(shape, MeshFile) and key in data.get("mesh", {}):
-            raise InputError(f'{source}: [mesh] {key} = {data["mesh"][key]!r}: has no effect with shape = "file"')
-    parts["material"] = described(data.get("material", {}), f"{source}: [material]")
-    parts["combination"] = tuple(read_records(data.get("combination", []), Combination, f"{source}: [combination]"))
-    scene = Scene(shape, tuple(items), **parts, source=Path(source), drawing=data["curtain"].get("file"), notes=notes)
-    check_scene(scene)
-    return scene
-
-
-def _entries(tables: Any) -> list[dict[str, Any]]:
-    """Tables of a list that may be a single one."""
-    return [one for one in (tables if isinstance(tables, list) else [tables]) if isinstance(one, dict)]
-
-
-def _home(word: Any) -> str:
-    """How a scene names a kind, "" if none has this name."""
-    lists = [f"[[load.{word}]]" for kind in LiveLoad.kinds if kind == word]
-    lists += [f'[[{name}]] kind = "{word}"' for name, base in LISTS.items() for kind in base.kinds if kind == word]
-    lists += [f'[curtain] shape = "{word}"' for kind in Shape.kinds if kind == word]
-    return f"write {' or '.join(lists)}" if lists else ""
-
-
-def _from_dxf(curtain: dict[str, Any], source: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """The table of an outline in place of one that names a DXF file, and what was mended in the file."""
-    file = curtain.pop("file", None)
-    if not isinstance(file, str) or not file:
-        raise InputError(f'{source}: [curtain] file: is missing; shape = "dxf" names the file of the outline')
-    refuse_unknown(curtain, ("shape", "weave_angle", "areal_mass"), f"{source}: [curtain] of a DXF file")
-    drawing = read_outline(source.parent / file)
-    return curtain | {"shape": "outline", "outline": drawing.outline, "holes": drawing.holes}, drawing.notes
-
-
-def read_records(
-    tables: Any, kinds: type[Typed] | Mapping[str, type[Any]], where: str, word: str = "kind"
-) -> list[Any]:
-    """The records of an array of tables, one of which may stand alone, of one class, or of that which each `kind` says.
-
-    InputError for kinds, keys and values without sense.
-    """
-    tables = [tables] if isinstance(tables, dict) else tables
-    if not isinstance(tables, list):
-        raise InputError(f"{where} = {shown(tables)}: is not a table")
-    if not isinstance(kinds, Mapping):
-        return [read_typed(kinds, table, where) for table in tables]
-    found = []
-    for table in tables:
-        if not isinstance(table, dict):
-            raise InputError(f"{where} = {shown(table)}: is not a table")
-        kind = table.get(word)
-        if not isinstance(kind, str) or kind not in kinds:
-            if word not in table:
-                home = "".join(_home(key) for key in table if key in kinds)
-                raise InputError(f"{where} {word}: is missing; {home or 'it is one of ' + ', '.join(kinds)}")
-            home = f"; {_home(kind)}".rstrip("; ")
-            raise InputError(f"{where} {word} = {shown(kind)}: {not_one_of(kind, kinds)}{home}")
-        rest = {key: value for key, value in table.items() if key != word}
-        found.append(read_typed(kinds[kind], rest, f"{where} ({kind})" if word == "kind" else where))
-    return found

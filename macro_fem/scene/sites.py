@@ -1,27 +1,21 @@
-"""Supports, and where they hold the mesh: nodes on edges, at points and hooks, their places, and lines to slide on.
+"""Supports: what they hold of the outline, before it is meshed, and the nodes of the mesh there, held or free to slide.
 
-A node that slides on a line along the unit vector e is at x = x_held + e s with one unknown s: a column of T. On a line
-along an axis the component is simply free, and needs no column. A node on two lines that cross, or on a line and held
-as a whole by another support, is held.
+A support tells `places`: single points of the outline, or a named edge as a whole. The mesher has nodes there, and
+`hold` makes constraints of them. A node that slides on a line along the unit vector e is at x = x_held + e s with one
+unknown s: a column of T. On a line along an axis the component is simply free, and needs no column. A node on two lines
+that cross, or on a line and held as a whole by another support, is held.
 """
 
-from __future__ import annotations
-
-import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
 from macro_fem.fem.cells import in_space_of
-from macro_fem.fem.discretization import Discretization
-from macro_fem.scene.meshing.edges import UPRIGHT, Line, facets_along, paths
-from macro_fem.scene.tables import NO_MOVE, Time, Timed
+from macro_fem.scene.meshing.edges import Border
+from macro_fem.scene.tables import NO_MOVE, Time, Timed, Vector, in_3d
 from rve.common import Array, InputError
-
-if TYPE_CHECKING:
-    from macro_fem.scene.meshing.mesh import CurtainMesh
-    from macro_fem.scene.scene import Scene
+from rve.common.records import Index
 
 NONE = np.zeros(0, np.int64)
 PARALLEL = 1e-9
@@ -30,13 +24,13 @@ PARALLEL = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Sliding:
-    """Nodes (m,) that slide along unit vectors `direction` (m, d)."""
+    """SupportNodes (m,) that slide along unit vectors `direction` (m, d)."""
 
-    nodes: np.ndarray
+    nodes: Index
     direction: Array
 
     @classmethod
-    def none(cls, d: int) -> Sliding:
+    def none(cls, d: int) -> Self:
         """No node."""
         return cls(NONE, np.zeros((0, d)))
 
@@ -56,7 +50,7 @@ class Held:
     """
 
     name: str
-    nodes: np.ndarray
+    nodes: Index
     mask: np.ndarray
     positions: Array
     facets: np.ndarray = field(default_factory=NONE.copy, repr=False)
@@ -70,15 +64,39 @@ class Held:
         return held
 
 
-@dataclass(frozen=True, eq=False)
-class Site:
-    """The mesh and its discretization for support `number` of a scene, after `factor` of its move."""
+class Places(NamedTuple):
+    """Where a support holds an outline: single `points` (k, 2), or the named `edge` as a whole.
 
-    number: int
-    scene: Scene
-    mesh: CurtainMesh
-    disc: Discretization
+    Of hooks: the longest line of the edge and the longest pitch, mm. `nodes` (k,): those of a mesh at the points.
+    """
+
+    points: Array = np.zeros((0, 2))
+    edge: str = ""
+    length: float = 0.0
+    pitch: float = 0.0
+    nodes: Index = NONE
+
+
+@dataclass(frozen=True, eq=False)
+class SupportNodes:
+    """The nodes `number` (k,) of a mesh at the places of a support, those of an edge in order; `border`: of the mesh.
+
+    d: components of places; factor: of the support's move.
+    """
+
+    number: Index
+    border: Border
+    d: int
     factor: float
+
+    @property
+    def X(self) -> Array:
+        """Their reference places (k, 2)."""
+        return self.border.points[self.number]
+
+    def moved(self, places: Array, move: Vector) -> Array:
+        """Places (k, 2 or d) with all components (k, d), after the factor of a move."""
+        return np.asarray(in_space_of(places, self.d) + self.factor * np.array(in_3d(move)[: self.d]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,29 +110,29 @@ class Support(Timed):
     """What results call one of the points that it holds."""
     release: Time | None = field(default=None, repr=False)
 
-    def hold(self, site: Site) -> Held:
-        """The nodes, components and positions that it holds at a site.
+    def places(self, border: Border) -> Places:
+        """Where it holds a sheet with this border, divided for a mesh, by default all of its edge.
 
-        InputError if it asks for what has no effect, or for nodes that the mesh has not.
+        InputError if there is no such place.
         """
+        return Places(edge=getattr(self, "edge", self.edge_needed) or "")
+
+    def hold(self, nodes: SupportNodes) -> Held:
+        """The components and positions of the nodes that it holds; InputError if it asks for what has no effect."""
         raise NotImplementedError
 
-    def _held(
-        self, site: Site, name: str, nodes: np.ndarray, target: Array, held: str = "both", facets: np.ndarray = NONE
-    ) -> Held:
-        """The nodes (k,) held at places `target` (k, 2), moved; InputError for a gather that moves none of them."""
-        scene, X, gather = site.scene, site.disc.nodes[nodes], getattr(self, "gather", 1.0)
-        mask = np.tile([held == "both" or axis in held for axis in "xyz"[: scene.d]], (len(nodes), 1))
-        if gather != 1.0 and np.abs((target - X)[mask[:, :2]]).max(initial=0.0) <= 1e-9 * site.mesh.size:
-            scene.refuse(f"[support] gather = {gather:g}: has no effect on {name}, which it holds as it is")
-        move = site.factor * scene.vector(getattr(self, "move", NO_MOVE))
-        return Held(name, nodes, mask, in_space_of(target, scene.d) + move, facets)
+    def _held(self, name: str, nodes: SupportNodes, target: Array, held: str = "both") -> Held:
+        """The nodes held at places `target` (k, 2), moved; InputError for a gather that moves none of them."""
+        gather = getattr(self, "gather", 1.0)
+        mask = np.tile([held == "both" or axis in held for axis in "xyz"[: nodes.d]], (len(target), 1))
+        if gather != 1.0 and np.abs((target - nodes.X)[mask[:, :2]]).max(initial=0.0) <= 1e-9 * nodes.border.size:
+            raise InputError(f"[support] gather = {gather:g}: has no effect on {name}, which it holds as it is")
+        return Held(name, nodes.number, mask, nodes.moved(target, getattr(self, "move", NO_MOVE)))
 
-    def _narrowed(self, site: Site, nodes: np.ndarray) -> Array:
+    def _narrowed(self, nodes: SupportNodes) -> Array:
         """Places (k, 2) of nodes of the top edge, narrowed by `gather` about the middle of the curtain."""
-        X, x, gather = site.disc.nodes[nodes], site.mesh.mesh.p[0], getattr(self, "gather", 1.0)
-        middle = 0.5 * (x.min() + x.max())
-        return np.stack([middle + gather * (X[:, 0] - middle), X[:, 1]], axis=-1)
+        middle = nodes.border.middle
+        return np.stack([middle + getattr(self, "gather", 1.0) * (nodes.X[:, 0] - middle), nodes.X[:, 1]], axis=-1)
 
 
 class Hanging(Support):
@@ -139,14 +157,16 @@ class Hanging(Support):
         assert self.pitch is not None
         return round(min(length / self.pitch, 1e9))
 
-    def hook_places(self, lines: list[Line], where: str) -> tuple[Array, list[float]]:
-        """Places (k, 2) of hooks, even from end to end of the lines of the top edge; the longest line and pitch, mm.
+    def places(self, border: Border) -> Places:
+        """Hooks, even from end to end of the lines of the top edge, or without them the whole edge.
 
         InputError for a pitch that is longer than the edge, or finer than its facets.
         """
-        found, fitted = [], []
-        named = f"{where} count = {self.count}:" if self.pitch is None else f"{where} pitch = {self.pitch:g}:"
-        for line in lines:
+        if not self.has_hooks:
+            return super().places(border)
+        points, longest = [], (0.0, 0.0)
+        named = f"{self.where} count = {self.count}:" if self.pitch is None else f"{self.where} pitch = {self.pitch:g}:"
+        for line in border.lines("top"):
             length, sides = float(line.arc[-1]), len(line.arc) - 1
             if self.pitch is not None and self.pitch > length * (1.0 + 1e-9):
                 raise InputError(f"{named} is wider than the top edge, {length:g} mm")
@@ -156,93 +176,12 @@ class Hanging(Support):
                     f"{named} is finer than the mesh, whose nodes on the top edge are {length / sides:g} mm apart; "
                     "use more cells"
                 )
-            fitted.append((length, length / number))
-            found.append(line.at(np.linspace(0.0, length, number + 1)[: number if line.is_closed else None]))
-        return np.concatenate(found), np.max(fitted, axis=0).tolist()
+            longest = max(longest[0], length), max(longest[1], length / number)
+            points.append(line.at(np.linspace(0.0, length, number + 1)[: number if line.is_closed else None]))
+        return Places(np.concatenate(points), "", *longest)
 
 
-def edge_nodes(mesh: CurtainMesh, disc: Discretization, name: str) -> np.ndarray:
-    """Node numbers on the named edge, ordered along it for straight ones."""
-    nodes = np.unique(facet_nodes(mesh, disc, mesh.edges[name]))
-    return nodes[in_order(disc.nodes[nodes])]
-
-
-def facet_nodes(mesh: CurtainMesh, disc: Discretization, facets: np.ndarray) -> np.ndarray:
-    """Node numbers (2, k) at the ends of facets (k,), of P2 (3, k) with the middles; of the hybrid element see
-    `macro_fem.bounds.equilibrated`."""
-    if disc.element == "equilibrium":
-        return np.stack([2 * facets, 2 * facets + 1])
-    ends = mesh.mesh.facets[:, facets]
-    return np.vstack([ends, mesh.mesh.p.shape[1] + facets]) if disc.element == "P2" else ends
-
-
-def in_order(X: Array) -> np.ndarray:
-    """The order (k,) of points X (k, 2) on a straight line, from its left end, or of an upright one from the lower.
-
-    >>> in_order(np.array([[1e-10, 0.0], [0.0, 1.0], [-2e-10, 2.0]])).tolist()
-    [0, 1, 2]
-    """
-    width, height = np.ptp(X, axis=0)
-    return np.lexsort(X.T if width < UPRIGHT * height else X.T[::-1])
-
-
-def point_node(at: tuple[float, float], disc: Discretization) -> np.ndarray:
-    """The number (1,) of the node at a point."""
-    return np.array([np.argmin(np.linalg.norm(disc.nodes - np.array(at), axis=1))])
-
-
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """A track: a `plan` of points [x, z], or an arc of `radius` and `angle` (radians, signed) with its ends at z = 0.
-
-    length and height (y) in mm. The arc is symmetric about x = middle; it bulges towards the viewer if angle > 0.
-    """
-
-    length: float
-    height: float
-    plan: Line | None = None
-    radius: float = 0.0
-    angle: float = 0.0
-    middle: float = 0.0
-
-    def at(self, s: Array) -> Array:
-        """Places (n, 3) at the distances s (n,) from the start, measured along the track, mm.
-
-        >>> Curve(np.pi * 100.0, 50.0, radius=100.0, angle=np.pi).at(np.array([50.0 * np.pi])).round(9).tolist()
-        [[0.0, 50.0, 100.0]]
-        """
-        if self.plan is None:
-            turn = (s / self.length - 0.5) * abs(self.angle)
-            x = self.middle + self.radius * np.sin(turn)
-            z = math.copysign(self.radius, self.angle) * (np.cos(turn) - math.cos(0.5 * self.angle))
-        else:
-            x, z = self.plan.at(s).T
-        return np.stack([x, np.full(len(s), self.height), z], axis=-1)
-
-
-def edge_line(mesh: CurtainMesh, name: str, where: str) -> Line:
-    """The corners of the mesh along a named edge, from its left or lower end.
-
-    InputError, which begins with `where`, if the edge is no single open line.
-    """
-    lines = paths(mesh.mesh.facets[:, mesh.edges[name]].T, mesh.mesh.p.T)
-    if len(lines) != 1 or lines[0].is_closed:
-        what = "closed" if len(lines) == 1 else f"made of {len(lines)} pieces"
-        raise InputError(f"{where} = {name!r}: is {what}, but a track or line needs an edge that is one open line")
-    return lines[0]
-
-
-def placed_along(site: Site, nodes: np.ndarray, places: Array) -> tuple[np.ndarray, Array]:
-    """Nodes (n,) on a line of corners `nodes` (k,) at `places` (k, 3), and their places (n, 3), half way between."""
-    mesh = site.mesh.mesh
-    if site.disc.element == "P2":
-        nodes = np.concatenate([nodes, mesh.p.shape[1] + facets_along(mesh, nodes)])
-        places = np.concatenate([places, 0.5 * (places[1:] + places[:-1])])
-    order = np.argsort(nodes)
-    return nodes[order], places[order]
-
-
-def sliding_nodes(lines: list[tuple[np.ndarray, Array]], whole: np.ndarray, d: int) -> Sliding:
+def sliding_nodes(lines: list[tuple[Index, Array]], whole: np.ndarray, d: int) -> Sliding:
     """The nodes of lines (nodes (k,), unit vector (d,)), but those on two that cross and those held as a `whole`."""
     way = np.zeros((len(whole), d))
     fixed = whole.copy()

@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
-from macro_fem.scene import sites, tables
-from macro_fem.scene.meshing.edges import UPRIGHT, Line
+from macro_fem.scene import tables
+from macro_fem.scene.meshing.edges import UPRIGHT, Border, Line
 from macro_fem.scene.obstacles import unit
-from macro_fem.scene.sites import Curve, Hanging, Held, Site, Support
-from macro_fem.scene.tables import LEAST_MM, NO_MOVE, Vector, Way, in_3d, leaves_plane
+from macro_fem.scene.sites import PARALLEL, Hanging, Held, Places, Support, SupportNodes, sloping
+from macro_fem.scene.tables import LEAST_MM, NO_MOVE, Way, in_3d, leaves_plane
 from rve.common import Array, InputError
 
 DRAWN = 200
@@ -31,9 +31,11 @@ class Corners(Support, kind="corners"):
     move: Way = NO_MOVE
     rings_per_hook: tables.RingsPerHook = 1
 
-    def hold(self, site: Site) -> Held:
-        nodes = sites.edge_nodes(site.mesh, site.disc, "top")[[0, -1]]
-        return self._held(site, "corners", nodes, self._narrowed(site, nodes))
+    def places(self, border: Border) -> Places:
+        return Places(border.points[border.nodes("top")[[0, -1]]])
+
+    def hold(self, nodes: SupportNodes) -> Held:
+        return self._held("corners", nodes, self._narrowed(nodes))
 
 
 @dataclass(frozen=True)
@@ -43,18 +45,16 @@ class Top(Support, kind="top"):
     gather: tables.Factor = 1.0
     move: Way = NO_MOVE
 
-    def hold(self, site: Site) -> Held:
-        nodes = sites.edge_nodes(site.mesh, site.disc, "top")
-        return self._held(site, "top", nodes, self._narrowed(site, nodes), facets=site.mesh.edges["top"])
+    def hold(self, nodes: SupportNodes) -> Held:
+        return self._held("top", nodes, self._narrowed(nodes))
 
 
 @dataclass(frozen=True)
 class Rail(Support, kind="rail"):
     """The top edge held in height, and in space in z too, free to slide sideways."""
 
-    def hold(self, site: Site) -> Held:
-        nodes = sites.edge_nodes(site.mesh, site.disc, "top")
-        return self._held(site, "rail", nodes, site.disc.nodes[nodes], "yz", site.mesh.edges["top"])
+    def hold(self, nodes: SupportNodes) -> Held:
+        return self._held("rail", nodes, nodes.X, "yz")
 
 
 @dataclass(frozen=True)
@@ -79,9 +79,8 @@ class Hooks(Hanging, kind="hooks"):
             self.refuse("pitch: is missing; give it in mm, or the count of hooks")
         super().check()
 
-    def hold(self, site: Site) -> Held:
-        nodes = site.mesh.hooks[site.number].nodes
-        return self._held(site, "hooks", nodes, self._narrowed(site, nodes), "yz" if self.sliding else "both")
+    def hold(self, nodes: SupportNodes) -> Held:
+        return self._held("hooks", nodes, self._narrowed(nodes), "yz" if self.sliding else "both")
 
 
 @dataclass(frozen=True)
@@ -120,28 +119,22 @@ class Edge(Support, kind="edge"):
             return f"along = {[list(point) for point in self.along]} leaves the plane"
         return super().space_reason
 
-    def hold(self, site: Site) -> Held:
-        nodes, facets = sites.edge_nodes(site.mesh, site.disc, self.edge), site.mesh.edges[self.edge]
+    def hold(self, nodes: SupportNodes) -> Held:
         if self.along is not None:
-            return self._on_line(site, self.along, facets)
-        X = site.disc.nodes[nodes]
+            return self._on_line(nodes, *(np.array(point[: nodes.d]) for point in self.along))
+        X = nodes.X
         centre = 0.5 * (X.min(axis=0) + X.max(axis=0))
-        return self._held(site, f"edge {self.edge}", nodes, centre + self.gather * (X - centre), self.held, facets)
+        return self._held(f"edge {self.edge}", nodes, centre + self.gather * (X - centre), self.held)
 
-    def _on_line(self, site: Site, along: tuple[Vector, Vector], facets: np.ndarray) -> Held:
-        """The edge evenly between two points of a straight line in space, held or free to slide."""
-        line = sites.edge_line(site.mesh, self.edge, f"{site.scene.source}: {self.where} edge")
-        first, last = map(site.scene.vector, along)
-        line = _in_sense(line, last - first)
-        share = line.arc / line.arc[-1]
-        nodes, places = sites.placed_along(site, line.nodes, first + share[:, None] * (last - first))
-        places += site.factor * site.scene.vector(self.move)
-        e = unit(last - first)[: site.scene.d]
+    def _on_line(self, nodes: SupportNodes, first: Array, last: Array) -> Held:
+        """The edge evenly between two points (d,) of a straight line, held or free to slide."""
+        line = _in_sense(nodes.border.line(self.edge, f"{self.where} edge"), last - first)
+        places = nodes.moved(first + (line.arc / line.arc[-1])[:, None] * (last - first), self.move)
+        e = unit(last - first)[: nodes.d]
         mask = np.ones(places.shape, bool)
-        if self.sliding and not sites.sloping(e):
-            mask[:, np.abs(e) > sites.PARALLEL] = False
-        slide = e if self.sliding and sites.sloping(e) else None
-        return Held(f"edge {self.edge}", nodes, mask, places, facets, slide)
+        if self.sliding and not sloping(e):
+            mask[:, np.abs(e) > PARALLEL] = False
+        return Held(f"edge {self.edge}", line.nodes, mask, places, slide=e if self.sliding and sloping(e) else None)
 
 
 def _in_sense(line: Line, way: Array) -> Line:
@@ -165,10 +158,40 @@ class Point(Support, kind="point"):
     move: Way = NO_MOVE
     rings_per_hook: tables.RingsPerHook = 1
 
-    def hold(self, site: Site) -> Held:
-        nodes = sites.point_node(self.at, site.disc)
-        name = f"point ({self.at[0]:g}, {self.at[1]:g})"
-        return self._held(site, name, nodes, site.disc.nodes[nodes], self.held)
+    def places(self, border: Border) -> Places:
+        return Places(np.array([self.at]))
+
+    def hold(self, nodes: SupportNodes) -> Held:
+        return self._held(f"point ({self.at[0]:g}, {self.at[1]:g})", nodes, nodes.X, self.held)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A track: a `plan` of points [x, z], or an arc of `radius` and `angle` (radians, signed) with its ends at z = 0.
+
+    length and height (y) in mm. The arc is symmetric about x = middle; it bulges towards the viewer if angle > 0.
+    """
+
+    length: float
+    height: float
+    plan: Line | None = None
+    radius: float = 0.0
+    angle: float = 0.0
+    middle: float = 0.0
+
+    def at(self, s: Array) -> Array:
+        """Places (n, 3) at the distances s (n,) from the start, measured along the track, mm.
+
+        >>> Curve(np.pi * 100.0, 50.0, radius=100.0, angle=np.pi).at(np.array([50.0 * np.pi])).round(9).tolist()
+        [[0.0, 50.0, 100.0]]
+        """
+        if self.plan is None:
+            turn = (s / self.length - 0.5) * abs(self.angle)
+            x = self.middle + self.radius * np.sin(turn)
+            z = math.copysign(self.radius, self.angle) * (np.cos(turn) - math.cos(0.5 * self.angle))
+        else:
+            x, z = self.plan.at(s).T
+        return np.stack([x, np.full(len(s), self.height), z], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -221,20 +244,16 @@ class Track(Hanging, kind="track"):
     def space_reason(self) -> str:
         return "kind = 'track' leaves the plane"
 
-    def hold(self, site: Site) -> Held:
-        where = f"{site.scene.source}: {self.where}"
-        edge = sites.edge_line(site.mesh, "top", f"{where} needs edge")
-        curve, length = self.curve(edge, where), edge.arc[-1]
+    def hold(self, nodes: SupportNodes) -> Held:
+        edge = nodes.border.line("top", f"{self.where} needs edge")
+        curve, length, number, s = self.curve(edge, self.where), edge.arc[-1], edge.nodes, edge.arc
         if self.has_hooks:
-            nodes, facets = site.mesh.hooks[site.number].nodes, sites.NONE
-            places = self.places(curve, np.linspace(0.0, length, len(nodes)), length)
-        else:
-            nodes, places = sites.placed_along(site, edge.nodes, self.places(curve, edge.arc, length))
-            facets = site.mesh.edges["top"]
+            number, s = nodes.number, np.linspace(0.0, length, len(nodes.number))
+        places = self.on_track(curve, s, length)
         drawn = curve.at(np.linspace(0.0, curve.length, DRAWN))
-        return Held("track", nodes, np.ones(places.shape, bool), places, facets, track=drawn)
+        return Held("track", number, np.ones(places.shape, bool), places, track=drawn)
 
-    def places(self, curve: Curve, s: Array, edge_length: float) -> Array:
+    def on_track(self, curve: Curve, s: Array, edge_length: float) -> Array:
         """Places (n, 3) on the track of material points at the distances s (n,) along the top edge, mm."""
         covered = self.drawn * curve.length
         start = 0.0 if self.side == "start" else curve.length - covered

@@ -6,13 +6,14 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from macro_fem.fem.cells import cross, in_space_of
+from macro_fem.fem.cells import components, cross, in_space_of
 from macro_fem.fem.discretization import Discretization
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.scene.meshing.mesh import CurtainMesh, components
+from macro_fem.scene.meshing.edges import in_order
+from macro_fem.scene.meshing.mesh import CurtainMesh, edge_nodes
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.sites import PARALLEL, Held, Site, Sliding, edge_nodes, sliding_nodes, sloping
+from macro_fem.scene.sites import PARALLEL, Held, Sliding, SupportNodes, sliding_nodes, sloping
 from macro_fem.scene.tables import Bar
 from rve.common import Array
 
@@ -78,8 +79,9 @@ def build_supports(
 
     InputError for supports that contradict each other, and bars on bent or held edges.
     """
-    sites = [Site(number, scene, mesh, disc, factor) for number in range(len(scene.support)) if number not in released]
-    held = tuple(scene.support[site.number].hold(site) for site in sites)
+    held = tuple(
+        _held(scene, number, mesh, disc, factor) for number in range(len(scene.support)) if number not in released
+    )
     positions = in_space_of(disc.nodes, scene.d)
     mask, ways = np.zeros(positions.shape, bool), np.zeros(positions.shape)
     stiff = mask.copy()
@@ -114,6 +116,27 @@ def build_supports(
     lines = [(one.nodes, one.slide) for one in held if one.slide is not None]
     sliding = sliding_nodes(lines, np.asarray(stiff.all(axis=1)), scene.d)
     return Supports(held, mask, positions, sliding, Sliding.none(scene.d), straight_bars(scene, mesh, disc, mask))
+
+
+def _held(scene: Scene, number: int, mesh: CurtainMesh, disc: Discretization, factor: float) -> Held:
+    """What a support holds of a discretisation: of an edge also its facets, and of P2 their middles between ends."""
+    item, places, border = scene.support[number], mesh.places[number], mesh.border
+    nodes = border.nodes(places.edge) if places.edge else places.nodes
+    with scene.in_errors():
+        held = item.hold(SupportNodes(nodes, border, scene.d, factor))
+    if not places.edge:
+        return held
+    held = replace(held, facets=mesh.edges[places.edge])
+    if disc.element != "P2":
+        return held
+    place = np.zeros(len(border.points), np.int64)
+    place[held.nodes] = np.arange(len(held.nodes))
+    ends = place[mesh.mesh.facets[:, held.facets]]
+    nodes = np.concatenate([held.nodes, len(border.points) + held.facets])
+    order = in_order(disc.nodes[nodes])
+    mask = np.concatenate([held.mask, held.mask[ends[0]]])[order]
+    positions = np.concatenate([held.positions, held.positions[ends].mean(axis=0)])[order]
+    return replace(held, nodes=nodes[order], mask=mask, positions=positions)
 
 
 def straight_bars(scene: Scene, mesh: CurtainMesh, disc: Discretization, mask: np.ndarray) -> sparse.csc_matrix | None:

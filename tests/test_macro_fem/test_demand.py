@@ -13,6 +13,7 @@ import pytest
 
 from homogenize import default_law, law_interval, read_law_interval
 from homogenize.fitting.rows import with_mirror
+from macro_fem import read_scene
 from macro_fem.bounds.interval import admissible_problem, bound, loads_of
 from macro_fem.curtain import make_problem, solve_problem
 from macro_fem.demand import rings as rings_module
@@ -22,7 +23,6 @@ from macro_fem.demand.rings import OnDemand, Rings, contradictions, question
 from macro_fem.job import solve
 from macro_fem.output.strength import MEANING, summary
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.cones import least_slack
 from rve import WEAVES, Cell
 from rve.common import NO_CACHE, Cache, InputError, NotConverged

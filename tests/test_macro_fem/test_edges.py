@@ -3,17 +3,16 @@
 import meshio
 import numpy as np
 import pytest
-import skfem
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from homogenize.laws.net import diagonal_net
+from macro_fem import read_scene
 from macro_fem.curtain import make_problem
 from macro_fem.output.files import summarize
-from macro_fem.scene.meshing.edges import named_edges
+from macro_fem.scene.meshing.edges import border_of
 from macro_fem.scene.meshing.mesh import build_mesh, mesh_outline, refine
-from macro_fem.scene.scene import read_scene
 from rve.common import InputError
 from tests.test_macro_fem.sheets import solve_scene
 
@@ -123,17 +122,14 @@ def test_a_disk_has_an_upper_and_a_lower_half():
 
 
 def sides(outline):
-    """Lengths of named edges of a star-shaped outline around (0, 0), and the facets of its sides with their ends."""
-    n = len(outline)
-    cells = np.stack([np.arange(n), np.roll(np.arange(n), -1), np.full(n, n)])
-    mesh = skfem.MeshTri(np.vstack([outline, [0.0, 0.0]]).T, cells)
-    edges = named_edges(mesh, [], {})
-    ends = {name: mesh.p[:, mesh.facets[:, facets]] for name, facets in edges.items()}
-    named = np.concatenate([facets for name, facets in edges.items() if name != "outline"])
-    assert len(np.unique(named)) == len(named)
+    """Lengths of named edges of an outline; top and bottom reach its extremes, and no side has two names."""
+    border = border_of(outline, [np.append(np.arange(len(outline)), 0)])
+    ends = {name: outline[pairs] for name, pairs in border.edges.items()}
+    named = np.concatenate([pairs for name, pairs in border.edges.items() if name != "outline"])
+    assert len(np.unique(named, axis=0)) == len(named)
     for name, row, sign in (("top", 1, 1.0), ("bottom", 1, -1.0)):
-        assert (sign * ends[name][row]).max() == (sign * outline[:, row]).max()
-    return {name: float(np.hypot(*(end[:, 1] - end[:, 0])).sum()) for name, end in ends.items()}
+        assert (sign * ends[name][..., row]).max() == (sign * outline[:, row]).max()
+    return {name: float(np.linalg.norm(np.diff(end, axis=1), axis=2).sum()) for name, end in ends.items()}
 
 
 @pytest.mark.parametrize("power", [1, 2, 5])

@@ -7,8 +7,8 @@ import pytest
 
 from homogenize.laws.net import diagonal_net, ring_net
 from homogenize.laws.protocol import CellInfo
+from macro_fem import read_scene
 from macro_fem.curtain import gathered_start
-from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import all_cuts, green_strain
 from tests.test_macro_fem.clarabel_oracle import solve_clarabel

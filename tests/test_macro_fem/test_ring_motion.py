@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from homogenize import default_law
+from macro_fem import read_scene
 from macro_fem.cli import main
 from macro_fem.motion.files import account_error
 from macro_fem.motion.pace import COLUMNS
@@ -17,7 +18,6 @@ from macro_fem.motion.stage import TONNE
 from macro_fem.motion.step import Moment
 from macro_fem.output.images import parts
 from macro_fem.rings.every_ring import EveryRing
-from macro_fem.scene.scene import read_scene
 from rve import slack_rings
 from rve.common import InputError
 from tests.films import film_of

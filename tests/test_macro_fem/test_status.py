@@ -8,8 +8,8 @@ import pytest
 from homogenize.io import default_law
 from homogenize.laws.net import ring_net
 from homogenize.laws.protocol import CellInfo
+from macro_fem import read_scene
 from macro_fem.curtain import gathered_start, supports_reach
-from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.status import AT_LIMIT, FREE, Evidence, Reach, judged
 from macro_fem.solvers.stretch_limit import reach_of

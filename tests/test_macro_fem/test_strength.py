@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from homogenize import default_law, fit, ring_net, with_material
+from macro_fem import read_scene
 from macro_fem.job import solve
 from macro_fem.output.files import curtain_mesh, summarize
 from macro_fem.output.line_load import FINE
 from macro_fem.output.strength import EXTRAPOLATED, TOO_COARSE, critical_load, nearest, summary, utilisation
 from macro_fem.output.told import combination_lines, holds_line
 from macro_fem.scene.meshing.mesh_files import read_mesh_file
-from macro_fem.scene.scene import read_scene
 from macro_fem.size import largest_that_holds
 from rve import Cell, named_material, pulled_ring, solve_table, with_rings
 from rve.common import InputError

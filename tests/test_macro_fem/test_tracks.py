@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from macro_fem import read_scene
 from macro_fem.bounds.interval import bound
 from macro_fem.scene.meshing.edges import Line
-from macro_fem.scene.scene import read_scene
 from macro_fem.scene.support_kinds import Track
 from tests.test_macro_fem.sheets import solve_scene
 
@@ -61,7 +61,7 @@ def test_what_is_open_follows_from_the_fullness():
 def test_a_drawn_curtain_covers_its_part_of_the_track(side):
     item = Track(path=((0.0, 0.0), (2000.0, 0.0)), drawn=0.4, side=side)
     curve = item.curve(top_edge(), WHERE)
-    places = item.places(curve, np.array([0.0, 1500.0, 3000.0]), 3000.0)
+    places = item.on_track(curve, np.array([0.0, 1500.0, 3000.0]), 3000.0)
     begin = 0.0 if side == "start" else 1200.0
     assert places[:, 0] == pytest.approx([begin, begin + 400.0, begin + 800.0])
 

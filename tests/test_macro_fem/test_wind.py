@@ -7,6 +7,7 @@ import macro_fem
 import rve
 from homogenize.io import default_law
 from homogenize.laws.net import diagonal_net
+from macro_fem import read_scene
 from macro_fem.curtain import (
     P2_PARTS,
     ShapeOptions,
@@ -18,7 +19,6 @@ from macro_fem.curtain import (
     wind_summary,
 )
 from macro_fem.scene.loads import drag_coefficient, ring_solidity
-from macro_fem.scene.scene import read_scene
 from rve.common import InputError
 from tests.test_macro_fem.sheets import posed, sheet
 

@@ -1,4 +1,4 @@
-"""Named edges of a plane mesh: chains of its boundary by their direction, holes, and named lines of a mesh file.
+"""Named edges of a plane sheet: chains of its boundary by their direction, holes, and named lines of a mesh file.
 
 Outer loops of the boundary, with the mesh on their left, are cut into chains at corners, where they turn by more than
 40 degrees. A chain whose normal departs from that of its chord by more than 45 degrees, such as a semicircle, and a
@@ -11,8 +11,10 @@ get what top and bottom leave, which of a disk or a drop is nothing or little.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import chain, repeat
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -20,7 +22,8 @@ import shapely
 from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import cross, signed_areas
-from rve.common import Array
+from rve.common import Array, InputError
+from rve.common.records import Index
 
 Chain: TypeAlias = tuple[np.ndarray, Array]
 """A part of the boundary: its facets (k,) and their mean normal (2,)."""
@@ -32,61 +35,6 @@ BENT = math.cos(math.radians(45.0 + 1e-9))
 UPRIGHT = 1e-3
 """A boundary facet whose normal has a smaller vertical component is upright: neither top nor bottom."""
 DIRECTIONS = {"top": (0.0, 1.0), "bottom": (0.0, -1.0), "left": (-1.0, 0.0), "right": (1.0, 0.0)}
-
-
-def named_edges(mesh: Any, holes: list[Array], lines: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Facet numbers by name: "outline", top, bottom, left, right, "hole 1", ..., and `lines` of node pairs (k, 2).
-
-    The order of the polygons `holes`, without them that of centres from left to right, numbers the holes; a single one
-    is also called "hole". A line named in the file comes before an edge of the same name.
-    """
-    loops = boundary_loops(mesh)
-    outer = [loop for loop in loops if signed_areas(mesh.p[:, loop].T) > 0.0]
-    inner = _in_order(mesh, [loop for loop in loops if signed_areas(mesh.p[:, loop].T) <= 0.0], holes)
-    edges = {"outline": np.concatenate([facets_along(mesh, loop) for loop in outer])}
-    edges |= _sides(mesh, outer)
-    edges |= {f"hole {number}": facets_along(mesh, loop) for number, loop in enumerate(inner, start=1)}
-    if len(inner) == 1:
-        edges["hole"] = edges["hole 1"]
-    edges |= {name: facets_between(mesh, pairs) for name, pairs in lines.items()}
-    return {name: np.sort(facets) for name, facets in edges.items() if len(facets)}
-
-
-def facets_between(mesh: Any, pairs: np.ndarray) -> np.ndarray:
-    """The facets (k,) of a mesh between pairs of nodes (k, 2); pairs that are no facet of it are left out."""
-    a, b = pairs[pairs[:, 0] != pairs[:, 1]].T
-    return np.unique(mesh.p2f[:, a].multiply(mesh.p2f[:, b]).nonzero()[0])
-
-
-def inherited_edges(coarse: Any, fine: Any, edges: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The edges of a mesh on a refinement of it that keeps its nodes, and halves facets or keeps them."""
-    tree, tiny = cKDTree(fine.p.T), 1e-9 * float(np.ptp(fine.p, axis=1).max())
-    found = {}
-    for name, facets in edges.items():
-        ends = coarse.facets[:, facets].T
-        distance, middle = tree.query(coarse.p[:, ends].mean(axis=2).T)
-        halves = [np.column_stack([end, middle])[distance < tiny] for end in ends.T]
-        found[name] = facets_between(fine, np.concatenate([ends, *halves]))
-    return found
-
-
-def boundary_loops(mesh: Any) -> list[np.ndarray]:
-    """The nodes (k + 1,) of each closed loop of the boundary, the first one again at the end, mesh on the left. Where
-    two meet at a node each keeps to its own cells.
-    """
-    tree, loops = cKDTree(mesh.p.T), []
-    sides = shapely.multilinestrings(mesh.p.T[mesh.facets[:, mesh.boundary_facets()].T])
-    for region in shapely.get_parts(shapely.build_area(sides)):
-        for number, ring in enumerate(shapely.get_rings(region)):
-            nodes = tree.query(shapely.get_coordinates(ring))[1]
-            is_clockwise, is_hole = signed_areas(mesh.p[:, nodes].T) < 0.0, number > 0
-            loops.append(nodes if is_clockwise == is_hole else nodes[::-1])
-    return loops
-
-
-def facets_along(mesh: Any, nodes: np.ndarray) -> np.ndarray:
-    """The facets (k - 1,) of a mesh between each of the nodes (k,) of a line and the next one."""
-    return np.ravel(mesh.p2f[:, nodes[:-1]].multiply(mesh.p2f[:, nodes[1:]]).argmax(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,11 +59,115 @@ class Line:
         return np.stack([np.interp(s, self.arc, column) for column in self.points.T], axis=-1)
 
 
+@dataclass(frozen=True, eq=False)
+class Border:
+    """The boundary of a sheet: `points` (n, 2), and the pairs (k, 2) of neighbours among them on each named edge.
+
+    Before the mesh the points are those that divide the outline, of a mesh they are all of its nodes.
+    """
+
+    points: Array
+    edges: dict[str, Index]
+
+    @property
+    def middle(self) -> float:
+        """The middle of its x, mm."""
+        x = self.points[:, 0]
+        return float(0.5 * (x.min() + x.max()))
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the bounding box, mm."""
+        return float(np.hypot(*np.ptp(self.points, axis=0)))
+
+    def nodes(self, name: str) -> Index:
+        """The points (k,) on a named edge, ordered along it for straight ones."""
+        nodes = np.unique(self.edges[name])
+        return nodes[in_order(self.points[nodes])]
+
+    def lines(self, name: str) -> list[Line]:
+        """The lines that a named edge is made of."""
+        return paths(self.edges[name], self.points)
+
+    def line(self, name: str, where: str) -> Line:
+        """A named edge from its left or lower end; InputError, which begins with `where`, if it is no open line."""
+        lines = self.lines(name)
+        if len(lines) != 1 or lines[0].is_closed:
+            what = "closed" if len(lines) == 1 else f"made of {len(lines)} pieces"
+            raise InputError(f"{where} = {name!r}: is {what}, but a track or line needs an edge that is one open line")
+        return lines[0]
+
+
+def border_of(points: Array, loops: list[Index], lines: Mapping[str, Index] | None = None) -> Border:
+    """The border of closed `loops` of points, with "outline", top, bottom, left, right, "hole 1", ..., and `lines`.
+
+    loops (k + 1,) each: their first point again at the end, the sheet on the left. Their order numbers the holes; a
+    single one is also called "hole". A line of pairs (k, 2) comes before an edge of the same name.
+    """
+    outer, inner = list[Index](), list[Index]()
+    for loop in loops:
+        (outer if signed_areas(points[loop]) > 0.0 else inner).append(loop)
+    sides = np.concatenate([_pairs(loop) for loop in outer])
+    edges = {"outline": sides} | {name: sides[numbers] for name, numbers in _sides(points, outer).items()}
+    edges |= {f"hole {number}": _pairs(loop) for number, loop in enumerate(inner, start=1)}
+    if len(inner) == 1:
+        edges["hole"] = edges["hole 1"]
+    return Border(points, {name: pairs for name, pairs in (edges | dict(lines or {})).items() if len(pairs)})
+
+
+def _pairs(loop: Index) -> Index:
+    """Each of the points (k,) of a line with the next one (k - 1, 2)."""
+    return np.stack([loop[:-1], loop[1:]], axis=-1)
+
+
+def in_order(X: Array) -> Index:
+    """The order (k,) of points X (k, 2) on a straight line, from its left end, or of an upright one from the lower.
+
+    >>> in_order(np.array([[1e-10, 0.0], [0.0, 1.0], [-2e-10, 2.0]])).tolist()
+    [0, 1, 2]
+    """
+    width, height = np.ptp(X, axis=0)
+    return np.lexsort(X.T if width < UPRIGHT * height else X.T[::-1])
+
+
+def facets_between(mesh: Any, pairs: np.ndarray) -> np.ndarray:
+    """The facets (k,) of a mesh between pairs of nodes (k, 2); pairs that are no facet of it are left out."""
+    a, b = pairs[pairs[:, 0] != pairs[:, 1]].T
+    return np.unique(mesh.p2f[:, a].multiply(mesh.p2f[:, b]).nonzero()[0])
+
+
+def inherited_edges(coarse: Any, fine: Any, edges: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The edges of a mesh on a refinement of it that keeps its nodes, and halves facets or keeps them."""
+    tree, tiny = cKDTree(fine.p.T), 1e-9 * float(np.ptp(fine.p, axis=1).max())
+    found = {}
+    for name, facets in edges.items():
+        ends = coarse.facets[:, facets].T
+        distance, middle = tree.query(coarse.p[:, ends].mean(axis=2).T)
+        halves = [np.column_stack([end, middle])[distance < tiny] for end in ends.T]
+        found[name] = facets_between(fine, np.concatenate([ends, *halves]))
+    return found
+
+
+def boundary_loops(mesh: Any) -> list[Index]:
+    """The nodes (k + 1,) of each closed loop of the boundary, the first one again at the end, mesh on the left. Where
+    two meet at a node each keeps to its own cells. Holes come last, from left to right by their centres.
+    """
+    tree, outer, holes = cKDTree(mesh.p.T), list[Index](), list[Index]()
+    sides = shapely.multilinestrings(mesh.p.T[mesh.facets[:, mesh.boundary_facets()].T])
+    for region in shapely.get_parts(shapely.build_area(sides)):
+        for loops, ring in zip(chain([outer], repeat(holes)), shapely.get_rings(region), strict=False):
+            nodes = tree.query(shapely.get_coordinates(ring))[1]
+            loops.append(nodes if (signed_areas(mesh.p[:, nodes].T) > 0.0) == (loops is outer) else nodes[::-1])
+    digits = 1e-6 * float(np.ptp(mesh.p, axis=1).max())
+    return outer + sorted(holes, key=lambda loop: tuple(np.round(mesh.p[:, loop[1:]].mean(axis=1) / digits)))
+
+
 def paths(pairs: np.ndarray, points: Array) -> list[Line]:
     """Lines of nodes, each from its left end, made of pairs (m, 2) of neighbours; closed ones repeat their first."""
-    tree, found = cKDTree(points), []
+    nodes, found = np.unique(pairs), []
+    tree = cKDTree(points[nodes])
     for part in shapely.get_parts(shapely.line_merge(shapely.multilinestrings(points[pairs]))):
-        path = tree.query(shapely.get_coordinates(part))[1]
+        path = nodes[tree.query(shapely.get_coordinates(part))[1]]
         ends = [0, -1]
         if path[0] == path[-1]:
             path = np.roll(path[:-1], -np.lexsort(points[path[:-1]].T[::-1])[0])
@@ -126,18 +178,8 @@ def paths(pairs: np.ndarray, points: Array) -> list[Line]:
     return sorted(found, key=lambda line: (line.is_closed, *line.points[0]))
 
 
-def _in_order(mesh: Any, loops: list[np.ndarray], holes: list[Array]) -> list[np.ndarray]:
-    """Hole loops in the order of the polygons `holes`, or of their centres."""
-    if holes and len(loops) == len(holes):
-        away = [[np.linalg.norm(mesh.p[:, loop].T - hole[0], axis=1).min() for loop in loops] for hole in holes]
-        return [loops[k] for k in np.argmin(away, axis=1)]
-    digits = 1e-6 * float(np.ptp(mesh.p, axis=1).max())
-    centres = [tuple(np.round(mesh.p[:, loop[1:]].mean(axis=1) / digits)) for loop in loops]
-    return [loops[k] for k in sorted(range(len(loops)), key=centres.__getitem__)]
-
-
 class Rim(NamedTuple):
-    """An outer loop: its facets (k,), their normals (k, 2) and lengths (k,), and which begin at a corner (k,)."""
+    """An outer loop: its facets (k,) by number, their normals (k, 2) and lengths (k,), which begin at a corner (k,)."""
 
     facets: np.ndarray
     normals: Array
@@ -155,14 +197,14 @@ class Rim(NamedTuple):
         return [(self.facets[one], np.average(self.normals[one], axis=0, weights=self.lengths[one])) for one in parts]
 
 
-def _rim(mesh: Any, loop: np.ndarray) -> Rim:
-    """An outer loop with its corners."""
-    step = np.diff(mesh.p[:, loop].T, axis=0)
+def _rim(points: Array, loop: Index, first: int) -> Rim:
+    """An outer loop with its corners, facets numbered from the `first` on."""
+    step = np.diff(points[loop], axis=0)
     length = np.linalg.norm(step, axis=1)
     normal = np.stack([step[:, 1], -step[:, 0]], axis=-1) / length[:, None]
     before = np.roll(normal, 1, axis=0)
     turn = np.arctan2(cross(before, normal), (before * normal).sum(axis=1))
-    return Rim(facets_along(mesh, loop), normal, length, np.abs(turn) > CORNER)
+    return Rim(first + np.arange(len(step)), normal, length, np.abs(turn) > CORNER)
 
 
 def _chains(rim: Rim) -> list[Chain]:
@@ -175,14 +217,16 @@ def _chains(rim: Rim) -> list[Chain]:
     return rim.chains(rim.cut(kind, is_bent))
 
 
-def _sides(mesh: Any, loops: list[np.ndarray]) -> dict[str, np.ndarray]:
-    """Facets of top, bottom, left and right; see the module header."""
-    rims = [_rim(mesh, loop) for loop in loops]
+def _sides(points: Array, loops: list[Index]) -> dict[str, Index]:
+    """Facets of top, bottom, left and right, numbered along the loops in turn; see the module header."""
+    ends = np.concatenate([_pairs(loop) for loop in loops]).T
+    first = np.cumsum([0, *(len(loop) - 1 for loop in loops)])
+    rims = [_rim(points, loop, number) for loop, number in zip(loops, first.tolist(), strict=False)]
     chains, sides = [chain for rim in rims for chain in _chains(rim)], dict[str, np.ndarray]()
-    tiny = 1e-6 * float(np.hypot(*np.ptp(mesh.p, axis=1)))
+    tiny = 1e-6 * float(np.hypot(*np.ptp(points, axis=0)))
     for name, direction in DIRECTIONS.items():
         d = np.array(direction)
-        height = (d @ mesh.p)[mesh.facets]
+        height = (points @ d)[ends]
         is_highest = height > height.max() - tiny
         chosen = _facing(chains, d, UPRIGHT, is_highest.any(axis=0))
         if not chosen:  # a tip that leans or is a cusp

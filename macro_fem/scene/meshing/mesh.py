@@ -1,29 +1,32 @@
-"""Meshes of curtains: rectangles in rows, any outline with holes by Delaunay's rule on a lattice of the weave, files,
-each with its named edges (`edges`) and nodes at hooks, held and loaded points (`places`).
+"""The mesh of a scene: its outline is divided, supports and loads tell points of it, and the mesh gets nodes there.
+
+Rectangles are meshed in rows, any outline with holes by Delaunay's rule on a lattice of the weave; files have meshes.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
 import skfem
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import Delaunay
+from scipy.spatial import Delaunay, cKDTree
 
 from homogenize import CellInfo
 from macro_fem.fem.cells import counterclockwise, signed_areas
-from macro_fem.scene.meshing.edges import inherited_edges, named_edges, paths
+from macro_fem.fem.discretization import Discretization
+from macro_fem.scene.meshing.edges import Border, border_of, facets_between, in_order, inherited_edges
 from macro_fem.scene.meshing.mesh_files import MAX_TRIANGLES
 from macro_fem.scene.meshing.nodes import with_nodes_at
 from macro_fem.scene.meshing.sheet_mesh import read_mesh
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
-from macro_fem.scene.sites import Hanging
-from macro_fem.scene.tables import PatchLoad, Vector
+from macro_fem.scene.sites import Hanging, Places
+from macro_fem.scene.tables import PatchLoad, PointLoad
 from rve.common import Array, InputError, shown
+from rve.common.records import Index
 from rve.common.typed import did_you_mean
 
 MAX_LATTICE = 8_000_000
@@ -36,26 +39,28 @@ CLEARANCE = 0.55
 
 
 @dataclass(frozen=True, eq=False)
-class HookRow:
-    """The hooks of one support: their nodes (k,), the longest line of the edge and the longest pitch, mm."""
-
-    nodes: np.ndarray
-    length: float
-    pitch: float
-
-
-@dataclass(frozen=True, eq=False)
 class CurtainMesh:
     """A scikit-fem mesh `mesh` and its named edges: facet numbers per name. `pattern` says how the cells lie.
 
-    `hooks`: the hooks of each support that has some, by its number in the scene. `notes`: what was mended in its file.
+    `places`: what each support of the scene holds, with nodes where it is single points. `notes`: what was mended in
+    its file.
     """
 
     mesh: Any
     pattern: str
-    edges: dict[str, np.ndarray] = field(repr=False)
-    hooks: dict[int, HookRow] = field(default_factory=dict, repr=False)
+    edges: dict[str, Index] = field(repr=False)
+    places: tuple[Places, ...] = field(default=(), repr=False)
     notes: tuple[str, ...] = ()
+
+    @property
+    def hooks(self) -> dict[int, Places]:
+        """The hooks of each support that has some, by its number in the scene."""
+        return {number: one for number, one in enumerate(self.places) if one.pitch}
+
+    @cached_property
+    def border(self) -> Border:
+        """Its nodes, and the pairs of them on named edges."""
+        return Border(self.mesh.p.T, {name: self.mesh.facets[:, facets].T for name, facets in self.edges.items()})
 
     @property
     def height(self) -> float:
@@ -65,18 +70,39 @@ class CurtainMesh:
     @property
     def size(self) -> float:
         """Diagonal of the bounding box, mm."""
-        return float(np.hypot(*np.ptp(self.mesh.p, axis=1)))
+        return self.border.size
 
     @property
     def sides(self) -> Array:
         """Every facet from its first to its second end (n_facets, 2), mm."""
-        first, second = self.mesh.p.T[self.mesh.facets]
-        return np.asarray(second - first)
+        return _sides(self.mesh)
 
     @property
     def longest_side(self) -> float:
         """Length of the longest side of a cell, mm."""
-        return float(np.hypot(*self.sides.T).max())
+        return _longest_side(self.mesh)
+
+
+def _sides(mesh: Any) -> Array:
+    """Every facet (n_facets, 2) of a scikit-fem mesh from its first to its second end."""
+    first, second = mesh.p.T[mesh.facets]
+    return np.asarray(second - first)
+
+
+def _longest_side(mesh: Any) -> float:
+    return float(np.hypot(*_sides(mesh).T).max())
+
+
+class DividedSheet(NamedTuple):
+    """A sheet before it is meshed: its `border`, divided as the mesh will be, and how it is filled with cells.
+
+    `fill` gives the mesh and its nodes (n,) at the points of the border. `pattern` and `notes`: as of the mesh.
+    """
+
+    border: Border
+    fill: Callable[[], tuple[Any, Index]]
+    pattern: str
+    notes: tuple[str, ...]
 
 
 def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
@@ -85,54 +111,94 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     InputError if its outline or mesh file cannot be meshed, an edge is missing, or a point lies off it or would need a
     flat cell.
     """
-    mesh = _plain_mesh(scene, cell)
+    sheet = divide(scene, cell)
+    _check_edges(scene, sheet)
+    with scene.in_errors():
+        places = [item.places(sheet.border) for item in scene.support]
+    single = [number for number, one in enumerate(places) if not one.edge]
+    single.sort(key=lambda number: not places[number].pitch)  # hooks first
+    mesh, numbers = sheet.fill()
+    wanted = [
+        (f"[support] {scene.support[number].one} at [{x:g}, {y:g}]", (x, y))
+        for number in single
+        for x, y in places[number].points.tolist()
+    ]
+    loads: list[PointLoad | PatchLoad] = [*scene.of(PointLoad)]
+    loads += [patch for patch in scene.of(PatchLoad) if patch.radius < _longest_side(mesh)]
+    wanted += [(f"{one.where} at = {list(one.at)}", one.at) for one in loads]
+    lines, wheres = {name: numbers[of] for name, of in sheet.border.edges.items()}, [what for what, _ in wanted]
+    with scene.in_errors():
+        mesh, lines, nodes = with_nodes_at(mesh, lines, np.array([at for _, at in wanted]).reshape(-1, 2), wheres)
+    parts = np.split(nodes, np.cumsum([len(places[number].points) for number in single]))
+    for number, part in zip(single, parts, strict=False):
+        places[number] = places[number]._replace(nodes=part)
+    edges = {name: facets_between(mesh, pairs) for name, pairs in lines.items()}
+    return CurtainMesh(mesh, sheet.pattern, edges, tuple(places), sheet.notes)
+
+
+def _check_edges(scene: Scene, sheet: DividedSheet) -> None:
+    """InputError for an edge that the scene names and the sheet has not."""
+    edges = sheet.border.edges
     for item in scene.items:
         edge = getattr(item, "edge", item.edge_needed)
-        if edge is not None and edge not in mesh.edges:
-            known = "; ".join([", ".join(sorted(mesh.edges)), *mesh.notes])
-            near = f"; {did_you_mean(edge, mesh.edges)}".rstrip("; ")
+        if edge is not None and edge not in edges:
+            known = "; ".join([", ".join(sorted(edges)), *sheet.notes])
+            near = f"; {did_you_mean(edge, edges)}".rstrip("; ")
             scene.refuse(f"{item.where} needs edge = {shown(edge)}: the curtain has no such edge, only {known}{near}")
-    hooked = [(n, item) for n, item in enumerate(scene.support) if isinstance(item, Hanging) and item.has_hooks]
-    top = paths(mesh.mesh.facets[:, mesh.edges["top"]].T, mesh.mesh.p.T) if hooked else []
-    rows = {number: item.hook_places(top, f"{scene.source}: {item.where}") for number, item in hooked}
-    wanted: list[tuple[str, Vector]]
-    wanted = [(f"[support] hook at [{x:g}, {y:g}]", (x, y)) for places, _ in rows.values() for x, y in places.tolist()]
-    points: list[Any] = [item for item in scene.items if hasattr(item, "at") and not isinstance(item, PatchLoad)]
-    points += [patch for patch in scene.of(PatchLoad) if patch.radius < mesh.longest_side]
-    wanted += [(f"{one.where} at = {list(one.at)}", one.at) for one in points]
-    if not wanted:
-        return mesh
-    wheres = [f"{scene.source}: {what}" for what, _ in wanted]
-    cut, edges, nodes = with_nodes_at(mesh.mesh, mesh.edges, np.array([at for _, at in wanted]), wheres)
-    own = np.split(nodes, np.cumsum([len(places) for places, _ in rows.values()]))
-    hooks = {n: HookRow(hung, *fit) for (n, (_, fit)), hung in zip(rows.items(), own[:-1], strict=True)}
-    return replace(mesh, mesh=cut, edges=edges, hooks=hooks)
 
 
-def _plain_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
-    """The mesh of the curtain's shape before nodes are added for points."""
+def edge_nodes(mesh: CurtainMesh, disc: Discretization, name: str) -> Index:
+    """Node numbers on the named edge, ordered along it for straight ones."""
+    nodes = np.unique(facet_nodes(mesh, disc, mesh.edges[name]))
+    return nodes[in_order(disc.nodes[nodes])]
+
+
+def facet_nodes(mesh: CurtainMesh, disc: Discretization, facets: Index) -> Index:
+    """Node numbers (2, k) at the ends of facets (k,), of P2 (3, k) with the middles; of the hybrid element see
+    `macro_fem.bounds.equilibrated`."""
+    if disc.element == "equilibrium":
+        return np.stack([2 * facets, 2 * facets + 1])
+    ends = mesh.mesh.facets[:, facets]
+    return np.vstack([ends, mesh.mesh.p.shape[1] + facets]) if disc.element == "P2" else ends
+
+
+def point_node(at: tuple[float, float], disc: Discretization) -> Index:
+    """The number (1,) of the node at a point."""
+    return np.array([np.argmin(np.linalg.norm(disc.nodes - np.array(at), axis=1))])
+
+
+def divide(scene: Scene, cell: CellInfo | None) -> DividedSheet:
+    """The sheet of a scene with its border divided; InputError if its outline or mesh file cannot be meshed."""
     curtain = scene.curtain
     if isinstance(curtain, MeshFile):
-        mesh, edges, notes = read_mesh(curtain, scene.source)
+        mesh, border, notes = read_mesh(curtain, scene.source)
         width, height = np.ptp(mesh.p, axis=1).tolist()
         if cell is not None and min(width, height) < 2.0 * cell.r1_mm:
             scene.refuse(
                 f"[curtain] file = {curtain.file!r}: its extents of {width:g} and {height:g} mm are less than a ring, "
                 f"{2.0 * cell.r1_mm:g} mm; were metres meant? Scale the mesh by 1000"
             )
-        return CurtainMesh(mesh, "file", edges, notes=notes)
+        return DividedSheet(border, lambda: (mesh, np.arange(mesh.p.shape[1])), "file", notes)
     aspect = 1.0 if cell is None else cell.b_y_mm / cell.b_x_mm  # slope of the diagonal families
     outline = curtain.corners(scene.mesh.cells)
     _refuse_too_many(scene, outline, aspect)
     if isinstance(curtain, Rectangle) and not curtain.holes:
-        return rectangle(scene, aspect)
-    holes = [np.array(hole) for hole in curtain.holes]
-    try:
-        points, cells = mesh_outline(outline, holes, columns(scene), aspect, math.radians(curtain.weave_angle))
-    except ValueError as error:
-        raise InputError(f"{scene.source}: [curtain] {error}") from error
-    mesh = skfem.MeshTri(points.T.copy(), cells.T.copy())
-    return CurtainMesh(mesh, "aligned", named_edges(mesh, holes, {}), notes=scene.notes)
+        return _in_rows(scene, curtain, aspect)
+    holes, count = [np.array(hole) for hole in curtain.holes], columns(scene)
+    with scene.in_errors("[curtain] "):
+        rings, _, middle = _divided(outline, holes, count)
+    first, loops = 0, list[Index]()
+    for ring in rings:  # the sheet on the left: outline counterclockwise, holes clockwise
+        loop = np.append(first + np.arange(len(ring)), first)
+        loops.append(loop if (signed_areas(ring) > 0.0) == (not loops) else loop[::-1])
+        first += len(ring)
+
+    def fill() -> tuple[Any, Index]:
+        with scene.in_errors("[curtain] "):
+            points, cells = mesh_outline(outline, holes, count, aspect, math.radians(curtain.weave_angle))
+        return skfem.MeshTri(points.T.copy(), cells.T.copy()), np.arange(first)
+
+    return DividedSheet(border_of(np.concatenate(rings) + middle, loops), fill, "aligned", scene.notes)
 
 
 def _refuse_too_many(scene: Scene, outline: Array, aspect: float) -> None:
@@ -161,25 +227,32 @@ def columns(scene: Scene) -> int:
     return step * max(1, round(cells / step)) if step <= cells else cells
 
 
-def rectangle(scene: Scene, aspect: float) -> CurtainMesh:
+def _in_rows(scene: Scene, curtain: Rectangle, aspect: float) -> DividedSheet:
     """Rows of equal rectangles, each cut into four ("aligned", "crossed") or two ("diagonal") triangles.
 
     Those of "aligned" have the sides of the weave's cell, so that their diagonals follow both families, and one lower
     row at the bottom; off the axes of the weave "aligned" becomes "crossed".
     """
-    curtain, spec = scene.curtain, scene.mesh
-    assert isinstance(curtain, Rectangle)
-    W, H, n = curtain.width, curtain.height, columns(scene)
+    W, H, n, pattern = curtain.width, curtain.height, columns(scene), scene.mesh.pattern
     turns = curtain.weave_angle / 90.0
-    pattern = "crossed" if spec.pattern == "aligned" and turns != round(turns) else spec.pattern
+    pattern = "crossed" if pattern == "aligned" and turns != round(turns) else pattern
     if pattern == "aligned":
         y = _rows(H, (aspect if round(turns) % 2 == 0 else 1.0 / aspect) * W / n)
     else:
         y = np.linspace(0.0, H, max(1, round(n * H / W)) + 1)
     x = np.linspace(0.0, W, n + 1)
-    is_diagonal = pattern == "diagonal"
-    mesh = skfem.MeshTri.init_tensor(x, y) if is_diagonal else skfem.MeshQuad.init_tensor(x, y).to_meshtri(style="x")
-    return CurtainMesh(mesh, pattern, named_edges(mesh, [], {}))
+    across, up = np.zeros_like(x), np.zeros_like(y)
+    sides = [(x, across), (up + W, y), (x[::-1], across + H), (up, y[::-1])]
+    points = np.concatenate([np.column_stack(side)[:-1] for side in sides])
+
+    def fill() -> tuple[Any, Index]:
+        if pattern == "diagonal":
+            mesh = skfem.MeshTri.init_tensor(x, y)
+        else:
+            mesh = skfem.MeshQuad.init_tensor(x, y).to_meshtri(style="x")
+        return mesh, cKDTree(mesh.p.T).query(points)[1]
+
+    return DividedSheet(border_of(points, [np.append(np.arange(len(points)), 0)]), fill, pattern, ())
 
 
 def _rows(height: float, row: float) -> Array:
@@ -198,15 +271,11 @@ def mesh_outline(
     """Points (n, 2) and counterclockwise triangles (m, 3) of the region inside `outline` and outside `holes`.
 
     The width is divided into `cells`; inner edges follow both diagonal families of a weave with cell sides in the ratio
-    `aspect` whose y axis is turned by `angle` (radians). ValueError if the polygons touch, cross or leave no region,
+    `aspect` whose y axis is turned by `angle` (radians). InputError if the polygons touch, cross or leave no region,
     or are finer than the cells.
     """
-    _check_region(outline, holes)
-    middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))  # far from the origin digits cancel
-    outline, holes = outline - middle, [hole - middle for hole in holes]
-    region, spacing = shapely.Polygon(outline, holes), float(np.ptp(outline[:, 0])) / cells
-    rings = shapely.segmentize([shapely.LinearRing(one) for one in (outline, *holes)], spacing * (1.0 + 1e-9))
-    border = [shapely.get_coordinates(one)[:-1] for one in rings]  # corners and points no farther than `spacing` apart
+    border, spacing, middle = _divided(outline, holes, cells)
+    outline, region = outline - middle, shapely.Polygon(outline - middle, [hole - middle for hole in holes])
     inner = _lattice(outline, spacing, aspect, angle)
     sides = region.boundary
     shapely.prepare([region, sides])
@@ -223,13 +292,23 @@ def mesh_outline(
     return points[used] + middle, triangles.reshape(-1, 3)
 
 
+def _divided(outline: Array, holes: list[Array], cells: int) -> tuple[list[Array], float, Array]:
+    """The rings (k, 2) of an outline and its holes, divided at least `cells` times along the width, about their
+    `middle` (2,); the spacing, and the middle. InputError for polygons that bound no region."""
+    _check_region(outline, holes)
+    middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))  # far from the origin digits cancel
+    spacing = float(np.ptp(outline[:, 0])) / cells
+    rings = shapely.segmentize([shapely.LinearRing(one - middle) for one in (outline, *holes)], spacing * (1.0 + 1e-9))
+    return [shapely.get_coordinates(one)[:-1] for one in rings], spacing, middle
+
+
 def _lattice(outline: Array, spacing: float, aspect: float, angle: float) -> Array:
     """Corners and centres of rectangles spacing x aspect spacing, turned by `angle`, that cover an outline around 0."""
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
     reach = np.abs(outline @ turn).max(axis=0) + spacing * (1.0 + aspect)
     n, m = math.ceil(reach[0] / spacing), math.ceil(reach[1] / (spacing * aspect))
     if 8 * n * m > MAX_LATTICE:
-        raise ValueError(
+        raise InputError(
             f"outline: the lattice of the weave around it has {8 * n * m:.3g} points, at most {MAX_LATTICE:.3g} are "
             "allowed; use fewer cells, or a shape that is less slender across the weave"
         )
@@ -240,15 +319,15 @@ def _lattice(outline: Array, spacing: float, aspect: float, angle: float) -> Arr
 
 
 def _check_region(outline: Array, holes: list[Array]) -> None:
-    """ValueError for an outline and holes that bound no region."""
+    """InputError for an outline and holes that bound no region."""
     for polygon in (outline, *holes):
         if (polygon == np.roll(polygon, -1, axis=0)).all(axis=1).any():
-            raise ValueError("outline and holes: have two equal corners in a row")
+            raise InputError("outline and holes: have two equal corners in a row")
     region = shapely.Polygon(outline, holes)
     if not region.is_valid:
-        raise ValueError(f"the outline and its holes bound no region: {shapely.is_valid_reason(region)}, mm")
+        raise InputError(f"the outline and its holes bound no region: {shapely.is_valid_reason(region)}, mm")
     if region.area <= 1e-9 * float(np.ptp(outline, axis=0).max()) ** 2:
-        raise ValueError("outline: has no area, its corners lie on a line")
+        raise InputError("outline: has no area, its corners lie on a line")
 
 
 def _check_border(triangles: np.ndarray, lengths: list[int]) -> None:
@@ -256,18 +335,10 @@ def _check_border(triangles: np.ndarray, lengths: list[int]) -> None:
     edges = set(map(frozenset, np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)]).tolist()))
     for number in np.split(np.arange(sum(lengths)), np.cumsum(lengths)[:-1]):
         if not edges.issuperset(map(frozenset, zip(number.tolist(), np.roll(number, -1).tolist(), strict=True))):
-            raise ValueError("outline and holes: come closer to each other than the cells are wide; use more cells")
+            raise InputError("outline and holes: come closer to each other than the cells are wide; use more cells")
 
 
 def refine(mesh: CurtainMesh, cells: np.ndarray) -> CurtainMesh:
     """The mesh with the given triangles cut in four and their neighbours as needed to fit (red, green, blue)."""
     finer = mesh.mesh.refined(np.asarray(cells))
     return replace(mesh, mesh=finer, edges=inherited_edges(mesh.mesh, finer, mesh.edges))
-
-
-def components(cells: np.ndarray, n_nodes: int) -> tuple[int, np.ndarray]:
-    """How many connected pieces the cells (n_cells, n_local) form, and the piece of each node (n_nodes,)."""
-    row = np.repeat(cells[:, 0], cells.shape[1])
-    graph = coo_matrix((np.ones(len(row)), (row, cells.ravel())), shape=(n_nodes, n_nodes))
-    number, label = connected_components(graph, directed=False)
-    return int(number), label

@@ -17,8 +17,9 @@ import shapely
 from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import counterclockwise, cross
-from macro_fem.scene.meshing.edges import CORNER, facets_between
+from macro_fem.scene.meshing.edges import CORNER
 from rve.common import Array, InputError
+from rve.common.records import Index
 
 SAME = 1e-6
 """Places nearer to a node than this part of the size of the mesh have a node."""
@@ -78,18 +79,17 @@ class _Sheet:
 
 
 def with_nodes_at(
-    mesh: Any, edges: dict[str, np.ndarray], places: Array, wheres: list[str]
-) -> tuple[Any, dict[str, np.ndarray], np.ndarray]:
-    """The scikit-fem mesh with a node at each of the places (k, 2), its named edges, and these nodes (k,).
-
-    InputError, which begins with `wheres`, if it cannot.
+    mesh: Any, lines: dict[str, Index], places: Array, wheres: list[str]
+) -> tuple[Any, dict[str, Index], Index]:
+    """The scikit-fem mesh with a node at each of the places (k, 2), its named lines of pairs (m, 2), and these nodes
+    (k,); InputError, which begins with `wheres`, if it cannot.
     """
     tiny = SAME * float(np.hypot(*np.ptp(mesh.p, axis=1)))
     distance, node = cKDTree(mesh.p.T).query(places)
     if distance.max(initial=0.0) < tiny:
-        return mesh, edges, node
-    lines = {name: mesh.facets[:, facets].T for name, facets in (edges | {RIM: mesh.boundary_facets()}).items()}
-    sheet = _Sheet(mesh.p.T, counterclockwise(mesh.p.T, mesh.t.T), lines)
+        return mesh, lines, node
+    rim = {RIM: mesh.facets[:, mesh.boundary_facets()].T}
+    sheet = _Sheet(mesh.p.T, counterclockwise(mesh.p.T, mesh.t.T), lines | rim)
     kept = set(node[distance < tiny].tolist()) | _ends_of_lines(sheet)
     for k in np.flatnonzero(distance >= tiny):
         away = np.linalg.norm(sheet.points - places[k], axis=1)
@@ -99,7 +99,7 @@ def with_nodes_at(
             node[k] = sheet.node
         kept.add(int(node[k]))
     cut = type(mesh)(sheet.points.T.copy(), sheet.cells.T.copy())
-    return cut, {name: facets_between(cut, sheet.lines[name]) for name in edges}, node
+    return cut, {name: sheet.lines[name] for name in lines}, node
 
 
 def _ends_of_lines(sheet: _Sheet) -> set[int]:

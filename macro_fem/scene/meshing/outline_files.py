@@ -6,7 +6,7 @@ of blocks among them. The closed curve that holds all others is the outline, the
 
 import io
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass
 from itertools import islice, pairwise
@@ -16,11 +16,9 @@ from typing import Any
 import numpy as np
 import shapely
 from scipy.interpolate import BSpline
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from macro_fem.fem.cells import cross, signed_areas
+from macro_fem.fem.cells import components, cross, signed_areas
 from macro_fem.scene.meshing.edges import boundary_loops
 from macro_fem.scene.tables import MOST_MM
 from rve.common import Array, InputError, atomic_path, require
@@ -53,6 +51,10 @@ CAUSES = {
     "Interior is disconnected": "holes cut the sheet in parts: keep one",
 }
 """What shapely finds wrong with an outline and its holes, in words of a drawing."""
+BEZIERS = 12
+"""Cubic pieces of a circle, 4e-7 of its radius off it. More: small holes have more corners."""
+DAMAGE = (ArithmeticError, AttributeError, LookupError, OSError, RuntimeError, StopIteration, TypeError, ValueError)
+"""What damaged data lead to in ezdxf besides its own errors."""
 MOST_PARTS = 200_000
 """Parts of a drawing with its blocks resolved. Larger: a damaged row of blocks is read for minutes."""
 
@@ -79,7 +81,7 @@ def read_outline(path: Path) -> Drawing:
             raise InputError("is a DWG file: save it as DXF")
         curves, notes = _read_curves(path)
         size = float(np.ptp(np.vstack(curves), axis=0).max())
-        curves, twice = _distinct(_plane(curves, size), size)
+        curves, twice = _distinct([curve for curve in curves if np.ptp(curve, axis=0).max() > JOINT * size], size)
         rings, joints = _joined(curves, size)
         rings, again = _distinct(rings, size)
         outline, *holes = _region(rings, size)
@@ -89,8 +91,9 @@ def read_outline(path: Path) -> Drawing:
 
 
 def _read_curves(path: Path) -> tuple[list[Array], list[str]]:
-    """Points (k, 3) along each curve of a drawing, mm, and notes on its unit and blocks."""
+    """Points (k, 2) along each curve of a plane drawing, mm, and notes on its unit and blocks."""
     import ezdxf
+    from ezdxf.lldxf.tagger import struct  # which reads binary files
 
     try:
         with redirect_stderr(io.StringIO()):  # what ezdxf logs
@@ -102,35 +105,40 @@ def _read_curves(path: Path) -> tuple[list[Array], list[str]]:
                 raise InputError(f"has more than {MOST_PARTS} parts in its blocks: is a row of blocks damaged?")
             if unread := sorted({one.dxftype() for one, _ in parts if one.dxftype().endswith(UNREAD)}):
                 raise InputError(f"{', '.join(unread)}: not read as curves; explode them or turn their layer off")
-            drawn = [part for part in parts if part[0].dxftype() in CURVES]
-            rough = [_points(one, math.inf) for one, _ in drawn]
-            drawn = [part for part, points in zip(drawn, rough, strict=True) if (points != points[:1]).any()]
-            every = np.vstack([np.zeros((0, 3)), *rough])
+            rough = [(one, _points(one, math.inf), block) for one, block in parts if one.dxftype() in CURVES]
+            drawn = [(one, points, block) for one, points, block in rough if (points != points[:1]).any()]
             if not drawn:
                 raise InputError(
                     "needs closed curves in model space on layers that are on: polylines, circles, ellipses, splines, "
                     "or lines and arcs that meet end to end"
                 )
+            every = np.vstack([points for _, points, _ in drawn])
             if not np.abs(every).max() <= MOST_MM:  # nor NaN
                 raise InputError(f"a coordinate is no finite number up to {MOST_MM:g}")
-            chord = DEPARTURE * float(np.ptp(every, axis=0).max())
-            curves = [_points(one, chord) for one, _ in drawn]
+            extent = np.ptp(every, axis=0)
+            curves = [_points(one, DEPARTURE * float(extent.max())) for one, _, _ in drawn]
     except InputError:
         raise
-    except Exception as error:  # ezdxf raises whatever damaged data leads to
+    except (ezdxf.DXFError, struct.error, *DAMAGE) as error:
         raise InputError("cannot be read as DXF: it is damaged, cut off or of another kind; save it anew") from error
     if drawing.units not in UNITS:
         raise InputError(f"states the unit {drawing.units} of $INSUNITS, which is not read: save it in mm")
     unit, factor = UNITS[drawing.units]
-    width, height, _ = factor * np.ptp(every, axis=0)
+    width, height, rise = factor * extent
+    if rise > JOINT * max(width, height, rise):
+        z = factor * every[:, 2]
+        raise InputError(
+            f"is not plane, z runs from {z.min():g} to {z.max():g} mm: turn it into a plane z = const, or turn off the "
+            "layer of what is no part of the sheet"
+        )
     size = f"the drawing has {width:g} x {height:g} mm{', were mm meant?' if max(width, height) > 1e5 else ''}"
     notes = [] if drawing.units == MM else [f"lengths are in {unit} of {factor:g} mm, {size}"]
     if drawing.units == 0:
         notes = [f"no unit is stated and mm are read, {size}"]
-    if blocks := sorted({name for _, name in drawn if name}):
+    if blocks := sorted({name for _, _, name in drawn if name}):
         listed = ", ".join(map(repr, blocks))
         notes.append(f"curves of the blocks {listed} are read; turn off the layer of what is no part of the sheet")
-    return [factor * curve for curve in curves], notes
+    return [factor * curve[:, :2] for curve in curves], notes
 
 
 def _parts(
@@ -159,54 +167,35 @@ def _parts(
 
 
 def _points(entity: Any, chord: float) -> Array:
-    """Points (k, 3) along a curve of ezdxf, none if it has no length; round ones by chords within `chord` of them."""
-    kind = entity.dxftype()
-    if kind == "LINE":
-        return np.array([entity.dxf.start, entity.dxf.end], dtype=float)
-    if kind == "3DFACE":
-        return np.array(entity.wcs_vertices(close=True), dtype=float)
-    if kind == "SPLINE":
-        curve = entity.construction_tool()
-        knots, weights = np.array(curve.knots()), np.array(curve.weights() or np.ones(curve.count))[:, None]
-        points = np.array(curve.control_points, dtype=float)
-        spline = BSpline(knots, np.hstack([weights * points, weights]), curve.degree)
-        low, high = knots[curve.degree], knots[-curve.degree - 1]
-        spans = np.unique(np.clip(knots, low, high))  # beyond them a periodic one repeats itself
-        return _chords(lambda t: spline(t)[..., :3] / spline(t)[..., 3:], spans, chord)
-    if kind in ("CIRCLE", "ARC", "ELLIPSE"):
-        from ezdxf.entities import Ellipse
+    """Points (k, 3) along a curve of ezdxf, none if it has no length; round ones by chords within `chord` of them.
 
-        if kind != "ELLIPSE" and not entity.dxf.radius:
-            return np.zeros((0, 3))
-        tool = (entity if kind == "ELLIPSE" else Ellipse.from_arc(entity)).construction_tool()
-        axes = np.array([tool.center, tool.major_axis, tool.minor_axis], dtype=float)
-        quarters = math.ceil(tool.param_span / (0.5 * math.pi) - 1e-9)
-        angles = tool.start_param + np.linspace(0.0, tool.param_span, max(quarters, 1) + 1)
-        return _chords(lambda t: np.stack([t**0, np.cos(t), np.sin(t)], axis=-1) @ axes, angles, chord)
-    return _polyline_points(entity, chord)
+    Vertices that guide a smoothed polyline are no part of it.
+    """
+    from ezdxf.path import make_path, to_bsplines_and_vertices
 
-
-def _polyline_points(entity: Any, chord: float) -> Array:
-    """Points (k, 3) along a polyline; vertices that guide a smoothed one are no part of it."""
     if entity.dxftype() == "POLYLINE":
         if not (entity.is_2d_polyline or entity.is_3d_polyline):
             raise InputError("POLYLINE: a mesh is not read as a curve; explode it or turn its layer off")
         entity.vertices[:] = [one for one in entity.vertices if not one.dxf.flags & 16]
-    pieces = [_points(one, chord) for one in entity.virtual_entities()]
-    for before, after in pairwise(range(len(pieces))):  # arcs run counterclockwise, whichever way they are drawn
-        away = np.linalg.norm(pieces[before][[0, -1], None] - pieces[after][[0, -1]], axis=2)
-        if before == 0 and away[0].min() < away[1].min():
-            pieces[0], away = pieces[0][::-1], away[::-1]
-        if away[1, 1] < away[1, 0]:
-            pieces[after] = pieces[after][::-1]
-    return np.vstack([np.zeros((0, 3)), *pieces])
+    if entity.dxftype() == "SPLINE":
+        return _chords(entity.construction_tool(), chord)
+    parts = to_bsplines_and_vertices(make_path(entity, segments=BEZIERS))
+    points = [np.array(one, dtype=float) if isinstance(one, list) else _chords(one, chord) for one in parts]
+    return np.vstack([np.zeros((0, 3)), *points])
 
 
-def _chords(place: Callable[[Array], Array], spans: Array, chord: float) -> Array:
-    """Points (k, 3) near the curve `place` of its parameter over smooth `spans` (m,), with chords within `chord` of it.
+def _chords(curve: Any, chord: float) -> Array:
+    """Points (k, 3) near a B-spline of ezdxf, with chords within `chord` of it.
 
     Between both ends they lie outside of the curve by so much that the polygon has the area of the curve.
     """
+    knots, weights = np.array(curve.knots()), np.array(curve.weights() or np.ones(curve.count))[:, None]
+    rational = BSpline(knots, np.hstack([weights * np.array(curve.control_points), weights]), curve.degree)
+    spans = np.unique(np.clip(knots, knots[curve.degree], knots[-curve.degree - 1]))  # a periodic one repeats itself
+
+    def place(t: Array) -> Array:
+        return np.asarray(rational(t)[..., :3] / rational(t)[..., 3:])
+
     counts = np.ones(len(spans) - 1, dtype=int)
     while True:
         parts = [np.linspace(*pair, count, endpoint=False) for pair, count in zip(pairwise(spans), counts, strict=True)]
@@ -232,17 +221,6 @@ def _chords(place: Callable[[Array], Array], spans: Array, chord: float) -> Arra
     return points
 
 
-def _plane(curves: list[Array], size: float) -> list[Array]:
-    """The curves (k, 2) in their plane, without those that have no length; InputError for curves out of a plane."""
-    z = np.concatenate(curves)[:, 2]
-    if np.ptp(z) > JOINT * size:
-        raise InputError(
-            f"is not plane, z runs from {z.min():g} to {z.max():g} mm: turn it into a plane z = const, or turn off the "
-            "layer of what is no part of the sheet"
-        )
-    return [curve[:, :2] for curve in curves if np.ptp(curve, axis=0).max() > JOINT * size]
-
-
 def _distinct(curves: list[Array], size: float) -> tuple[list[Array], list[str]]:
     """The curves (k, 2) without those that repeat another one, and a note on them."""
     lines = np.array([shapely.LineString(curve) for curve in curves])
@@ -263,9 +241,7 @@ def _joined(curves: list[Array], size: float) -> tuple[list[Array], list[str]]:
     InputError for gaps, by place and width, and for places where more than two ends meet.
     """
     given = np.concatenate([curve[[0, -1]] for curve in curves])
-    pairs = cKDTree(given).query_pairs(JOINT * size, output_type="ndarray")
-    graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(given), len(given)))
-    node = connected_components(graph, directed=False)[1]
+    node = components(cKDTree(given).query_pairs(JOINT * size, output_type="ndarray"), len(given))[1]
     places = given[np.unique(node, return_index=True)[1]]
     closed, pieces = list[Array](), list[Array]()
     is_open = node[::2] != node[1::2]

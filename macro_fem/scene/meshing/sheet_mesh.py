@@ -6,12 +6,10 @@ from typing import Any
 import numpy as np
 import shapely
 import skfem
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from macro_fem.fem.cells import counterclockwise, signed_areas
-from macro_fem.scene.meshing.edges import facets_between, named_edges
+from macro_fem.fem.cells import components, counterclockwise, signed_areas
+from macro_fem.scene.meshing.edges import Border, border_of, boundary_loops, facets_between
 from macro_fem.scene.meshing.mesh_files import MAX_TRIANGLES, read_mesh_file
 from macro_fem.scene.meshing.nodes import least_sine
 from macro_fem.scene.shapes import MeshFile
@@ -31,8 +29,8 @@ CORNERS = {"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4}
 """Corners of the cells of a sheet, by meshio's name of their type."""
 
 
-def read_mesh(curtain: MeshFile, source: Path) -> tuple[Any, dict[str, np.ndarray], tuple[str, ...]]:
-    """The plane mesh of scikit-fem in a file, its edges as facet numbers per name, and sentences on what was mended.
+def read_mesh(curtain: MeshFile, source: Path) -> tuple[Any, Border, tuple[str, ...]]:
+    """The plane mesh of scikit-fem in a file, its border, and sentences on what was mended.
 
     Quadrilaterals are cut in four. A curtain.vtu is its reference state.
 
@@ -47,7 +45,7 @@ def read_mesh(curtain: MeshFile, source: Path) -> tuple[Any, dict[str, np.ndarra
         _check_fit(mesh)
         groups, empty = _named_lines(data, mesh, number)
         notes = tuple(f"{curtain.file}: {note}" for note in (*second_order, *joined, *empty))
-        return mesh, named_edges(mesh, [], groups), notes
+        return mesh, border_of(mesh.p.T, boundary_loops(mesh), groups), notes
     except InputError as error:
         raise InputError(f"{source}: [curtain] file = {shown(curtain.file)}: {error}") from error
 
@@ -131,10 +129,9 @@ def _joined(points: Array, triangles: Index, ends: Index) -> tuple[Array, Index,
     np.minimum.at(reach, triangles, SAME * longest[:, None])
     place, reach = points[every], reach[every]
     near = np.flatnonzero(cKDTree(place).query(place, k=2)[0][:, 1] < reach)
-    i, j = near[cKDTree(place[near]).query_pairs(reach[near].max(initial=0.0), output_type="ndarray")].T
-    is_one = np.linalg.norm(place[i] - place[j], axis=1) < np.minimum(reach[i], reach[j])
-    graph = coo_matrix((np.ones(is_one.sum()), (i[is_one], j[is_one])), shape=(len(every), len(every)))
-    _, first, label = np.unique(connected_components(graph, directed=False)[1], return_index=True, return_inverse=True)
+    pairs = near[cKDTree(place[near]).query_pairs(reach[near].max(initial=0.0), output_type="ndarray")]
+    pairs = pairs[np.linalg.norm(np.diff(place[pairs], axis=1)[:, 0], axis=1) < reach[pairs].min(axis=1)]
+    _, first, label = np.unique(components(pairs, len(every))[1], return_index=True, return_inverse=True)
     one = first[label]  # of a triangle, if any of those that are the same is
     kept, number = np.unique(one[: len(own)]), np.full(len(points), -1)
     number[every] = np.where(one < len(own), np.searchsorted(kept, one), -1)
