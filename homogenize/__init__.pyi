@@ -4,7 +4,6 @@ from .fitting.fit import FitResult as FitResult
 from .fitting.fit import cell_of as cell_of
 from .fitting.fit import fit as fit
 from .fitting.fit import fit_table as fit_table
-from .fitting.rows import LockedRows as LockedRows
 from .interval import LawInterval as LawInterval
 from .interval import interval_of_table as interval_of_table
 from .interval import interval_or_law as interval_or_law
@@ -28,5 +27,6 @@ from .laws.report import ErrorReport as ErrorReport
 from .material import with_material as with_material
 from .query.strain import LockedStrain as LockedStrain
 from .query.strain import locked_strain as locked_strain
+from .rows import LockedRows as LockedRows
 from .strength import Strength as Strength
 from .strength import strength_of_table as strength_of_table

@@ -201,7 +201,7 @@ def order(solution: CurtainSolution, summary: dict[str, Any]) -> dict[str, Any]:
 def _rings(area: float, summary: dict[str, Any]) -> dict[str, Any]:
     """The rings and their weave, and how many cells and rings are on an area in mm2."""
     try:
-        cell = read_told(summary, "").cell("")
+        cell = read_told(summary, "").info("").cell()
     except InputError:  # a law without rings, or of a weave that is not known
         return dict.fromkeys(("cells", "rings", "weave", "r1_mm", "r2_mm"))
     cells = area / (summary["rings"]["b_x_mm"] * summary["rings"]["b_y_mm"] * math.prod(cell.weave.repeat))

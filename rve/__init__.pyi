@@ -44,6 +44,7 @@ from .placed import nearest_poses as nearest_poses
 from .placed import offsets as offsets
 from .placed import reference_shares as reference_shares
 from .plots import DrawnRings as DrawnRings
+from .solve import reference_cell as reference_cell
 from .solve import solve_table as solve_table
 from .support_function import SupportValue as SupportValue
 from .support_function import support as support

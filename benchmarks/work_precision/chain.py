@@ -66,7 +66,7 @@ def contact_ladder() -> list[Row]:
 
     def judge(found: StrainTable, seconds: float) -> Row:
         try:
-            height = base_height(fit(found, FitOptions(normality=10.0 * found.provenance["options"]["mu_end"])).law)
+            height = base_height(fit(found, FitOptions(normality=10.0 * found.options.mu_end)).law)
         except InputError:
             return row_of(exact, math.nan, seconds)  # rows so inaccurate that they contradict each other are refused
         return row_of(exact, height, seconds)

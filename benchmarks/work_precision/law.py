@@ -13,10 +13,11 @@ from benchmarks.problems import loads
 from homogenize.fitting import refine
 from homogenize.fitting.bounds import bounds_of
 from homogenize.fitting.fit import FitOptions, fit
-from homogenize.fitting.rows import LockedRows, rows_from_table
+from homogenize.fitting.rows import rows_from_table
 from homogenize.laws.geometry import ProjectionError
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.query.strain import locked_strain
+from homogenize.rows import LockedRows
 from rve.common.tensor import double_dot, trace
 from rve.directions import graded_grid
 from rve.geometry import Cell

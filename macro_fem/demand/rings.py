@@ -14,9 +14,9 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
-from homogenize import CellInfo, LawInterval, LockedRows, cell_of, interval_of_table, law_interval, read_law_interval
+from homogenize import CellInfo, LawInterval, LockedRows, interval_of_table, law_interval, read_law_interval
 from macro_fem.demand.directions import rounded
-from rve import solve_table, support
+from rve import reference_cell, support
 from rve.common import (
     NO_CACHE,
     Array,
@@ -133,7 +133,7 @@ class Rings:
     @cached_property
     def info(self) -> CellInfo:
         """Radii, reference cell and areal mass; NotConverged if the reference cell is not found."""
-        return cell_of(solve_table(self.cell, ([0.0], [90.0])))
+        return reference_cell(self.cell)
 
     @cached_property
     def law(self) -> LawInterval:

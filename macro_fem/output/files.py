@@ -82,9 +82,10 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
     }
 
 
-def rings(cell: CellInfo | None) -> dict[str, float] | None:
-    """Radii and reference cell of the law, without its areal mass, which a scene may replace."""
-    return None if cell is None else {key: value for key, value in asdict(cell).items() if key.endswith("_mm")}
+def rings(cell: CellInfo | None) -> dict[str, Any] | None:
+    """Radii, weave and reference cell of the law, without areal mass and material, which a scene may replace."""
+    others = ("areal_mass_kg_per_m2", "material")
+    return None if cell is None else {key: value for key, value in asdict(cell).items() if key not in others}
 
 
 def is_mean_height(problem: CurtainProblem) -> bool:

@@ -16,12 +16,11 @@ from macro_fem.fem.cells import recovered, signed_areas
 from macro_fem.scene.meshing.mesh_files import read_mesh_file
 from rve.common import Array, Index, InputError, Rows, Typed, check_belongs, read_json_object, read_typed, types_of
 from rve.common.arguments import checked
-from rve.common.cell_fields import check_rings
-from rve.common.materials import STEEL, Material
+from rve.common.materials import Material
 from rve.common.records import ByValue
 from rve.common.texts import read_as
 from rve.finite import cell_of_sides
-from rve.geometry import Cell
+from rve.geometry import CellInfo, read_cell_info
 
 SIDES = ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm")
 
@@ -47,20 +46,24 @@ class Told(Typed):
         ]
         return max(told, key=lambda one: float(one["force_N"]), default=None)
 
-    def cell(self, source: str) -> Cell:
-        """Rings, weave and grain, by the sides of the reference cell; InputError, which begins with `source`, where
-        the summary does not tell them or no weave has such a cell."""
-        rings = self.rings or {}
+    def info(self, source: str) -> CellInfo:
+        """The rings and their reference cell; InputError, which begins with `source`, where the summary does not tell
+        them. Summaries before version 0.3 name no weave: it is that of the sides of the reference cell."""
+        rings, where = self.rings or {}, f"{source}: rings"
         if missing := [key for key in SIDES if rings.get(key) is None]:
             raise InputError(
                 f"{source}: does not tell {', '.join(missing)} of the rings; solve the curtain with a law that was "
                 "fitted to a table of rings"
             )
-        r1, r2, b_x, b_y = (check_rings(rings, f"{source}: rings")[key] for key in SIDES)
+        info = replace(read_cell_info(rings, where), material=self.material)
         try:
-            return replace(cell_of_sides(r1, r2, (b_x, b_y)), material=self.material or STEEL)
+            if "weave" not in rings:
+                cell = cell_of_sides(info.r1_mm, info.r2_mm, info.sides_mm)
+                info = replace(info, weave=cell.weave.name, grain=cell.grain)
+            info.cell()
         except InputError as error:
-            raise InputError(f"{source}: rings: {error}; give a law of rings side by side") from error
+            raise InputError(f"{where}: {error}") from error
+        return info
 
 
 def read_told(summary: dict[str, Any], source: str) -> Told:

@@ -44,8 +44,9 @@ def localize(
     if window is not None and not (np.isfinite(window).all() and window[0] < window[2] and window[1] < window[3]):
         raise InputError(f"window = {window}: must be x0, y0, x1, y1 in mm with x0 < x1 and y0 < y1")
     curtain = curtain if isinstance(curtain, Curtain) else read_curtain(curtain)
-    cell = curtain.told.cell(curtain.source)
-    locked = rve.locked_arrangements(cell)
+    info = curtain.told.info(curtain.source)
+    cell = info.cell()
+    locked = rve.locked_arrangements(cell, sides_mm=info.sides_mm)
     axes = rve.axes_of_weave(cell, curtain.told.hang_deg)
     tell("rings in their cells")
     sites = find_sites(curtain, cell, locked.sides, axes, window)

@@ -23,8 +23,8 @@ from macro_fem.scene.obstacles import unit
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.sites import edge_nodes, facet_nodes, point_node
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
+from rve import DirectOptions
 from rve.common import Array
-from rve.finite import cell_of_sides
 from rve.wire import solidity as solidity_of
 
 PER_MM2 = 1e-6
@@ -168,7 +168,7 @@ def layered_drag(cell: CellInfo | None, layers: Array) -> Array:
 @lru_cache(maxsize=8)
 def ring_solidity(cell: CellInfo) -> float:
     """Projected area of the rings of a law over the reference area, see `rve.solidity`."""
-    return solidity_of(cell_of_sides(cell.r1_mm, cell.r2_mm, (cell.b_x_mm, cell.b_y_mm)))
+    return solidity_of(cell.cell(), DirectOptions(reference=cell.reference))
 
 
 def drag_coefficient(solidity: Array | float) -> Array:

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from homogenize.fitting.bounds import inner_law, outer_law
 from homogenize.fitting.report import random_loads
-from homogenize.fitting.rows import LockedRows, normality, rows_from_table, with_mirror
+from homogenize.fitting.rows import normality, rows_from_table
+from homogenize.rows import LockedRows, with_mirror
 from rve.common import InputError
 from rve.common.tensor import double_dot, mirror
 

@@ -121,7 +121,7 @@ def test_every_kind_is_fitted_and_reports(table):
     assert max(worst["refined"], worst["outer"]) < 1e-10
     assert worst["net"] > 0.01
     with pytest.raises(InputError, match="law of 4-in-1"):
-        fit(replace(table, provenance=table.provenance | {"weave": "6-in-1"}), FitOptions("net"))
+        fit(replace(table, cell=replace(table.cell, weave="6-in-1")), FitOptions("net"))
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from homogenize import default_law, law_interval, read_law_interval
-from homogenize.fitting.rows import with_mirror
+from homogenize.rows import with_mirror
 from macro_fem.bounds.interval import admissible_problem, bound, loads_of
 from macro_fem.curtain import solve_problem
 from macro_fem.demand import rings as rings_module

@@ -129,7 +129,7 @@ def test_grain_along_x_is_the_mesh_turned_over():
     x = solve_table(Cell(grain="x"), (alpha, beta))
     np.testing.assert_allclose(x.E, y.E[:, ::-1], atol=1e-9)
     np.testing.assert_allclose(x.S, y.S[:, ::-1], atol=1e-9)
-    assert x.provenance["b_x_mm"] == pytest.approx(y.provenance["b_y_mm"], abs=1e-9)
+    assert x.cell.b_x_mm == pytest.approx(y.cell.b_y_mm, abs=1e-9)
 
 
 @settings(deadline=None, max_examples=2)
