@@ -126,4 +126,5 @@ def _is_measured(entries: LawEntries, provenance: dict[str, Any]) -> bool:
         return entries.stiffness_is_measured
     if "stiffness" in provenance:
         return not str(provenance["stiffness"]).startswith("stated")
-    return entries.parameters.get("stiffness_N_per_mm") != (STATED_STIFFNESS * np.eye(3)).tolist()
+    stated = STATED_STIFFNESS, (STATED_STIFFNESS * np.eye(3)).tolist()
+    return entries.parameters.get("stiffness_N_per_mm", STATED_STIFFNESS) not in stated

@@ -70,7 +70,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "linear_solver": linear_solver(),
         "law": problem.law.name,
         "hang_deg": problem.scene.curtain.weave_angle,
-        "rings": rings(problem.law.cell),
+        **rings(problem.law.cell),
         **wind_summary(solution),
         "areal_mass_kg_per_m2": per_area,
         "mass_kg": per_area * PER_MM2 * float(area.sum()),
@@ -82,10 +82,12 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
     }
 
 
-def rings(cell: CellInfo | None) -> dict[str, Any] | None:
+def rings(cell: CellInfo | None) -> dict[str, Any]:
     """Radii, weave and reference cell of the law, without areal mass and material, which a scene may replace."""
-    others = ("areal_mass_kg_per_m2", "material")
-    return None if cell is None else {key: value for key, value in asdict(cell).items() if key not in others}
+    if cell is None:
+        return dict.fromkeys(("rings", "weave", "grain", "reference_cell"))
+    sizes = {key: value for key, value in asdict(cell).items() if key.endswith("_mm")}
+    return {"rings": sizes, "weave": cell.weave, "grain": cell.grain, "reference_cell": cell.reference}
 
 
 def is_mean_height(problem: CurtainProblem) -> bool:

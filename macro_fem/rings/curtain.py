@@ -7,7 +7,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta
@@ -33,6 +33,9 @@ class Told(Typed):
     hang_deg: Annotated[float, Meta(ge=-360.0, le=360.0)]
     rings: dict[str, Any] | None
     material: Material | None = None
+    weave: str | None = None
+    grain: Literal["y", "x"] = "y"
+    reference_cell: Literal["side-by-side", "locked"] = "side-by-side"
     status: str = "unknown"
     support_forces: tuple[dict[str, Any], ...] = ()
 
@@ -49,21 +52,21 @@ class Told(Typed):
     def info(self, source: str) -> CellInfo:
         """The rings and their reference cell; InputError, which begins with `source`, where the summary does not tell
         them. Summaries before version 0.3 name no weave: it is that of the sides of the reference cell."""
-        rings, where = self.rings or {}, f"{source}: rings"
+        rings = self.rings or {}
         if missing := [key for key in SIDES if rings.get(key) is None]:
             raise InputError(
                 f"{source}: does not tell {', '.join(missing)} of the rings; solve the curtain with a law that was "
                 "fitted to a table of rings"
             )
-        info = replace(read_cell_info(rings, where), material=self.material)
+        told = rings | {"weave": self.weave, "grain": self.grain, "reference": self.reference_cell}
+        info = replace(read_cell_info(told, f"{source}: rings"), material=self.material)
+        if self.weave is not None:
+            return info
         try:
-            if "weave" not in rings:
-                cell = cell_of_sides(info.r1_mm, info.r2_mm, info.sides_mm)
-                info = replace(info, weave=cell.weave.name, grain=cell.grain)
-            info.cell()
+            cell = cell_of_sides(info.r1_mm, info.r2_mm, info.sides_mm)
         except InputError as error:
-            raise InputError(f"{where}: {error}") from error
-        return info
+            raise InputError(f"{source}: rings: {error}; run the curtain again") from error
+        return replace(info, weave=cell.weave.name, grain=cell.grain)
 
 
 def read_told(summary: dict[str, Any], source: str) -> Told:

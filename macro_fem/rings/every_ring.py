@@ -102,8 +102,7 @@ class EveryRingSolution(Solution):
                 for wall, force in zip(solution.walls, solution.wall_force, strict=True)
             ],
             "hang_deg": rings.scene.curtain.weave_angle,
-            "rings": rings_of(rings.info),
-            "weave": rings.mesh.cell.weave.name,
+            **rings_of(rings.info),
             "iterations": solution.iterations,
             "wall_s": round(solution.wall_s, 3),
             "versions": versions("scikit-fem", "scikit-sparse"),

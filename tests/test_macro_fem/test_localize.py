@@ -465,7 +465,7 @@ def test_the_largest_force_is_that_of_the_cell(alpha, beta):
 def test_what_is_slack_beside_a_load_changes_no_force(table):
     """Rings bear S where it locks them, also in cells that are drawn together beside it."""
     _, E, S, s = table
-    told = Told(0.0, rings(default_law().cell))
+    told = Told(0.0, **rings(default_law().cell))
     strains = E[3], E[3] - [0.3, 0.0, 0.15]
     curtains = [sheet(deformation_gradient(one[None])[0], one, S[3], np.eye(2)) for one in strains]
     locked, slack = (localize(replace(one, told=told)).contact_force_N.max() for one in curtains)
