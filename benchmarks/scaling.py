@@ -9,8 +9,8 @@ from benchmarks.frame import Section, table
 from benchmarks.measure import Row
 from benchmarks.problems import square
 from homogenize import default_law
+from macro_fem import read_scene
 from macro_fem.job import solve_membrane
-from macro_fem.scene.scene import read_scene
 
 QUICK, FULL = (16, 28, 50, 90), (16, 28, 50, 90, 160)
 """Cells along the width."""

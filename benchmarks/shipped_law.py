@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from homogenize.fitting.fit import fit_table
+from homogenize import fit_table
 from homogenize.io import DEFAULT_LAW
-from homogenize.laws.net import STATED_STIFFNESS
-from homogenize.laws.stored import law_record
+from homogenize.laws import STATED_STIFFNESS, law_record
 
 
 def shipped_record(table: Path) -> dict[str, Any]:

@@ -13,15 +13,13 @@ import numpy as np
 
 from homogenize import laws
 from homogenize.laws.net import STATED_STIFFNESS
-from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.report import ErrorReport
+from homogenize.laws.rows import read_rows
 from homogenize.laws.stored import SCHEMA, UNITS, StoredLaw
-from homogenize.rows import read_rows
-from homogenize.strength import Strength, read_strength
+from homogenize.laws.strength import read_strength
 from rve.common import (
     InputError,
     Typed,
-    checked,
     read_as,
     read_json_object,
     read_typed,
@@ -67,12 +65,6 @@ def law_kinds() -> dict[str, type[StoredLaw]]:
 def default_law() -> StoredLaw:
     """The law for r1/r2 = 10 that ships inside the package, made from the 190 rows of the paper's grid."""
     return load_law(DEFAULT_LAW)
-
-
-@checked
-def strength_of_law(law: MembraneLaw) -> Strength | None:
-    """The strength of the rings behind `law`; None if it has none, as laws without a file and those of old tables."""
-    return law.strength if isinstance(law, StoredLaw) else None
 
 
 def load_law(path: str | Path) -> StoredLaw:

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, TypeVar, cast
 
-from homogenize.interval import LawInterval
+from homogenize.fitting.interval import LawInterval
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.stored import StoredLaw
-from homogenize.strength import MAKE_AGAIN
+from homogenize.laws.strength import MAKE_AGAIN
 from rve.common import InputError, checked
 from rve.common.materials import Material, material_of
 

@@ -14,9 +14,9 @@ from homogenize.fitting.rows import rows_from_table
 from homogenize.laws import pictures
 from homogenize.laws.pictures import locking_surface, solid_axes
 from homogenize.laws.protocol import MembraneLaw
+from homogenize.laws.rows import LockedRows, with_mirror
 from homogenize.laws.stored import StoredLaw
 from homogenize.query.strain import locked_strain
-from homogenize.rows import LockedRows, with_mirror
 from rve.common import Array, job, tell
 from rve.common.drawing.plane import Scale, new_axes, new_figure, rounded_up, save_figure, viridis
 from rve.common.optional import Axes

@@ -5,8 +5,8 @@ from pathlib import Path
 import meshio
 import numpy as np
 
+from macro_fem import read_scene
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.scene import read_scene
 
 MSH = (Path(__file__).parent / "data" / "square.msh").read_text()
 """A Gmsh 4.1 file in text, with entities, sparse order of nodes and physical groups."""

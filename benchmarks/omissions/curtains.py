@@ -11,14 +11,13 @@ from benchmarks.frame import Section
 from benchmarks.measure import Row, least_seconds
 from benchmarks.omissions.compare import LEFT_OUT, USED, trial, trial_table, verdict
 from benchmarks.problems import square
-from homogenize.io import default_law
-from homogenize.laws.polyhedral import PolyhedralLaw
-from homogenize.laws.protocol import HalfSpaces, MembraneLaw
+from homogenize import MembraneLaw, default_law
+from homogenize.laws import HalfSpaces, PolyhedralLaw
+from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
 from macro_fem.fem.assembly import load_vector
 from macro_fem.problem import CurtainProblem, gathered_start, make_problem, stabilising_tension
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import first_cones
 from macro_fem.solvers.path import PATH, PathOptions, PathResult

@@ -14,13 +14,13 @@ import numpy as np
 from benchmarks.frame import Diagram, Section, curves, table
 from benchmarks.measure import Row, least_seconds
 from homogenize import default_law
+from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
 from macro_fem.motion.curtain import MotionFrame, MovingCurtain
 from macro_fem.motion.pace import Run
 from macro_fem.motion.stage import scene_at
 from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.scene import read_scene
 
 SIDE = 800.0
 CORNERS = [{"kind": "point", "at": [0.0, SIDE]}, {"kind": "point", "at": [SIDE, SIDE], "release": 0.0}]

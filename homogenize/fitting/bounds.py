@@ -11,7 +11,7 @@ import numpy as np
 
 from homogenize.laws.geometry import fibres, highest, outer_vertices
 from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_law
-from homogenize.rows import LockedRows, with_mirror
+from homogenize.laws.rows import LockedRows, with_mirror
 from rve.common import Array, Index
 from rve.common.tensor import WEIGHT, disc, double_dot, eigenvalues, from_disc, trace
 from rve.geometry import CellInfo

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from homogenize.rows import ROUNDING, LockedRows, with_mirror
+from homogenize.laws.rows import ROUNDING, LockedRows, with_mirror
 from rve.common import InputError
 from rve.common.tensor import WEIGHT, double_dot, eigenvalues, trace
 

@@ -8,8 +8,8 @@ from typing import Any, ClassVar, Self
 
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.report import ErrorReport
-from homogenize.rows import LockedRows
-from homogenize.strength import Strength
+from homogenize.laws.rows import LockedRows
+from homogenize.laws.strength import Strength
 from rve.common import checked, json_text, write_text
 from rve.common.optional import Axes
 from rve.geometry import CellInfo
@@ -23,7 +23,7 @@ class StoredLaw(MembraneLaw):
     """Base of the laws that have a file: `class ClothLaw(StoredLaw, kind="cloth")` registers the kind of their files.
 
     cell: the rings behind the law. rows: what it was fitted to. report: how wrong it can be; both None for a law that
-    was not fitted. strength: that of the rings (`homogenize.strength`), None if the table of the law has none.
+    was not fitted. strength: that of the rings (`homogenize.laws.strength`), None if the table of the law has none.
     stiffness_is_measured: whether the stiffness is that of the rings, by their table, or else a stated number.
     provenance: what else its file tells of its origin.
     """
@@ -103,3 +103,9 @@ def law_record(law: StoredLaw) -> dict[str, Any]:
         **({} if law.strength is None else {"strength": law.strength.to_dict()}),
         "provenance": law.provenance | rows | report,
     }
+
+
+@checked
+def strength_of_law(law: MembraneLaw) -> Strength | None:
+    """The strength of the rings behind `law`; None if it has none, as laws without a file and those of old tables."""
+    return law.strength if isinstance(law, StoredLaw) else None

@@ -8,9 +8,9 @@ import numpy as np
 
 from homogenize.directions import beyond, hull_of, limits_of
 from homogenize.io import load_law
+from homogenize.laws.rows import LockedRows, with_mirror
+from homogenize.laws.strength import MAKE_AGAIN
 from homogenize.query.strain import locked_strain
-from homogenize.rows import LockedRows, with_mirror
-from homogenize.strength import MAKE_AGAIN
 from rve.common import Array, InputError
 from rve.common.tensor import double_dot, eigenvalues, trace
 from rve.geometry import cauchy_of

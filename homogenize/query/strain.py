@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from homogenize.fitting.rows import normality
 from homogenize.laws.protocol import MembraneLaw
+from homogenize.laws.rows import LockedRows, with_mirror
 from homogenize.query.strain_bounds import strain_bounds
-from homogenize.rows import LockedRows, with_mirror
 from rve.common import Array, InputError, Rows, checked, part_of, tell
 from rve.common.tensor import IDENTITY, WEIGHT, disc, from_disc, trace
 from rve.geometry import cauchy_line_load, cauchy_of, deformation_gradient, second_pk

@@ -14,9 +14,11 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
-from homogenize import CellInfo, LawInterval, LockedRows, interval_of_table, law_interval, read_law_interval
+from homogenize import LawInterval, read_law_interval
+from homogenize.fitting import interval_of_table, law_interval
+from homogenize.laws import LockedRows
 from macro_fem.demand.directions import rounded
-from rve import reference_cell, support
+from rve import Cell, reference_cell, support
 from rve.common import (
     NO_CACHE,
     Array,
@@ -32,7 +34,7 @@ from rve.common import (
 from rve.common.arguments import check_fields
 from rve.common.cell_fields import check_ring_size
 from rve.common.tensor import WEIGHT, disc, from_disc, mirror
-from rve.geometry import Cell
+from rve.geometry import CellInfo
 
 Beside = tuple[tuple[float, float], ...]
 """Directions that a direction was solved with, whose locked states were starts."""

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from homogenize import CellInfo
 from macro_fem.bounds.interval import CurtainBounds
 from macro_fem.curtain import forces_by, forces_note
 from macro_fem.drag import wind_summary
@@ -20,6 +19,7 @@ from macro_fem.scene.tables import Bar, LiveLoad
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, versions
 from rve.common.factor import linear_solver
+from rve.geometry import CellInfo
 
 
 def summarize(solution: CurtainSolution) -> dict[str, Any]:

@@ -16,11 +16,11 @@ from macro_fem.output.pictures import Drawings, Pictures
 from macro_fem.output.told import components
 from macro_fem.rings.ring_scene import RingScene
 from macro_fem.solution import CurtainSolution
+from rve import Cell
 from rve.common import Array, InputError, check_fields, versions
 from rve.common.drawing.plane import new_axes, save_figure
 from rve.common.optional import Axes
 from rve.finite import FiniteSolution
-from rve.geometry import Cell
 
 ACROSS = 3
 """Line loads are averaged over squares of this many reference cells along each side."""

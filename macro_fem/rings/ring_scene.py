@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from homogenize import CellInfo, MembraneLaw, default_law, with_material
+from homogenize import MembraneLaw, default_law, with_material
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.discretization import discretize
@@ -26,11 +26,11 @@ from macro_fem.scene.sites import Sliding, edge_nodes
 from macro_fem.scene.supports import build_supports, check_pins, pin_sliding
 from macro_fem.scene.tables import Bar, Wind, in_3d
 from macro_fem.solution import CurtainSolution
-from rve import reference_cell
+from rve import Cell, FiniteMesh, reference_cell
 from rve.common import Array, Index, InputError
 from rve.common.materials import material_of
-from rve.finite import FiniteMesh, FiniteOptions, FiniteSolution, HalfSpace
-from rve.geometry import Cell
+from rve.finite import FiniteOptions, FiniteSolution, HalfSpace
+from rve.geometry import CellInfo
 
 SLIDES = 1e-6
 """Part of the loads up to which the force of a pin counts as none: walls push a little where nothing touches."""

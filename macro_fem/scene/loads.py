@@ -14,7 +14,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from homogenize import CellInfo
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import cross
 from macro_fem.fem.discretization import Discretization
@@ -24,8 +23,9 @@ from macro_fem.scene.scene import Scene
 from macro_fem.scene.sites import edge_nodes, facet_nodes, point_node
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
 from rve import DirectOptions
+from rve import solidity as solidity_of
 from rve.common import Array
-from rve.wire import solidity as solidity_of
+from rve.geometry import CellInfo
 
 PER_MM2 = 1e-6
 """m2 per mm2: kg/m2 times m/s2 is N/m2."""

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from homogenize.laws.net import ring_cell
-from homogenize.rows import LockedRows
+from homogenize.laws import LockedRows, ring_cell
 from rve.common.tensor import WEIGHT, double_dot, from_disc, trace
 
 
@@ -38,7 +37,8 @@ def rows_of(truth, S):
 
 def table_of(S, E, *, status=None, unique=None):
     """A table in memory with the given loads and strains; angles are those of the load on the undeformed cell."""
-    from rve.table import RowQuality, StrainTable
+    from rve import StrainTable
+    from rve.table import RowQuality
 
     n = len(S)
     alpha = np.degrees(0.5 * np.arctan2(2.0 * S[:, 1], S[:, 0] - S[:, 2]))

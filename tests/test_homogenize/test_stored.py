@@ -8,9 +8,8 @@ import pytest
 
 from homogenize import ClothLaw, FitOptions, default_law, fit_table, load_law, ring_net, with_material
 from homogenize.io import DEFAULT_LAW
-from homogenize.laws.net import ring_cell
-from homogenize.laws.stored import law_record
-from homogenize.query.answers import strain_answer
+from homogenize.laws import law_record, ring_cell
+from homogenize.query import strain_answer
 from rve import MATERIALS, DirectOptions, read_table
 from rve.common import InputError
 

@@ -5,23 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from homogenize.fitting.bounds import outer_law
-from homogenize.fitting.refine import refined_half_spaces
-from homogenize.fitting.report import random_loads
-from homogenize.fitting.rows import rows_from_table
-from homogenize.io import default_law
-from homogenize.laws.net import diagonal_net, ring_cell, ring_net
-from homogenize.laws.polyhedral import polyhedral_law
-from homogenize.query.strain import locked_strain
-from homogenize.query.strain_bounds import strain_bounds
-from homogenize.rows import LockedRows, read_rows
+from homogenize import default_law, diagonal_net, locked_strain, ring_net
+from homogenize.fitting import outer_law, random_loads, refined_half_spaces, rows_from_table
+from homogenize.laws import LockedRows, polyhedral_law, read_rows, ring_cell
+from homogenize.query import strain_bounds
+from rve import Cell, DirectOptions, read_table, solve_table
 from rve.common import InputError
 from rve.common.tensor import double_dot, dyad, from_disc, trace
 from rve.directions import product
-from rve.equilibrium.interior_point import DirectOptions
-from rve.geometry import Cell, cauchy_line_load, deformation_gradient, second_pk
-from rve.solve import solve_table
-from rve.table import read_table
+from rve.geometry import cauchy_line_load, deformation_gradient, second_pk
 
 from .conftest import disc_grid, rows_of
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from homogenize import interval_of_table, load_law, with_material
+from homogenize import FitOptions, fit, load_law, with_material
 from homogenize.cli import main
-from homogenize.directions import Directions
-from homogenize.fitting.fit import FitOptions, fit
-from homogenize.laws.giving import work_along
-from homogenize.strength import Strength, off_grid, read_strength, strength_of_table, tensile_part
+from homogenize.directions import Directions, tensile_part
+from homogenize.fitting import interval_of_table
+from homogenize.laws import Strength, read_strength, strength_of_table, work_along
+from homogenize.laws.strength import off_grid
 from rve import Material
 from rve.common import InputError
 from rve.common.tensor import WEIGHT, double_dot, mirror, trace

@@ -10,15 +10,12 @@ import numpy as np
 import pytest
 
 from benchmarks.shipped_law import shipped_record
-from homogenize.fitting.bounds import bounds_of
-from homogenize.fitting.fit import FitOptions, fit
-from homogenize.fitting.report import random_loads
-from homogenize.fitting.rows import rows_from_table
-from homogenize.io import DEFAULT_LAW, default_law
-from homogenize.query.strain import locked_strain
+from homogenize import FitOptions, default_law, fit, locked_strain
+from homogenize.fitting import bounds_of, random_loads, rows_from_table
+from homogenize.io import DEFAULT_LAW
+from rve import read_table
 from rve.common import InputError
 from rve.common.tensor import double_dot, eigenvalues, trace
-from rve.table import read_table
 
 DATA = Path(__file__).parent / "data"
 

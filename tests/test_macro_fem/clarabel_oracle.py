@@ -15,11 +15,11 @@ import numpy as np
 from scipy import sparse
 
 from homogenize import MembraneLaw
+from macro_fem import CurtainSolution
 from macro_fem.curtain import make_solution
 from macro_fem.fem.assembly import internal_force
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.problem import CurtainProblem, stabilising_tension
-from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.cone_program import REACH
 from macro_fem.solvers.cones import Cones, all_cuts, first_cones, green_strain, least_slack, with_cuts
 from macro_fem.solvers.path import PathResult

@@ -4,12 +4,12 @@ import numpy as np
 import skfem
 
 from homogenize import default_law, with_material
+from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.problem import make_problem
 from macro_fem.scene.loads import drag_coefficient, ring_solidity
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.scene import read_scene
 
 
 def fallen(t, damping=0.0, drag=0.0, g=9810.0):

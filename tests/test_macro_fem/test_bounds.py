@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homogenize.laws.net import diagonal_net
+from homogenize import diagonal_net
+from macro_fem import read_scene
 from macro_fem.bounds.equilibrated import dual_disc
 from macro_fem.bounds.interval import bound, mark
 from macro_fem.fem.assembly import gradient, internal_force
@@ -13,7 +14,6 @@ from macro_fem.job import solve_membrane
 from macro_fem.output.files import interval_summary
 from macro_fem.output.told import interval_line
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.scene import read_scene
 from tests.test_macro_fem.sheets import sheet, solve_scene
 
 NET_MEAN_HEIGHT = 14.187635  # 40 x 40 net square, top gathered to 70 %, DESIGN section 6

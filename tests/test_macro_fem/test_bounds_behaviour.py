@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from macro_fem import read_scene
 from macro_fem.bounds import interval as bounds
 from macro_fem.bounds.equilibrated import at_dual_nodes, dual_problem
 from macro_fem.bounds.interval import bound
 from macro_fem.curtain import solve_problem
 from macro_fem.problem import gathered_start
-from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import all_cuts, green_strain
 from macro_fem.solvers.path import PathOptions

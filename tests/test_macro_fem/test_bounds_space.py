@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import macro_fem
+from macro_fem import read_scene
 from macro_fem.bounds.interval import bound
 from macro_fem.job import solve_membrane
-from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.path import PathOptions
 from rve import Cell
 from tests.test_macro_fem.sheets import solve_scene

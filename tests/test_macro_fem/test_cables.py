@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from macro_fem import read_scene
 from macro_fem.fem.discretization import discretize
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.scene import read_scene
 from macro_fem.scene.supports import build_supports
 from rve.common import InputError
 from tests.test_macro_fem.sheets import solve_scene

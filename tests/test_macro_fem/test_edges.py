@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from homogenize.laws.net import diagonal_net
+from homogenize import diagonal_net
+from macro_fem import read_scene
 from macro_fem.output.files import summarize
 from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.edges import named_edges
 from macro_fem.scene.meshing.mesh import build_mesh, mesh_outline, refine
-from macro_fem.scene.scene import read_scene
 from rve.common import InputError
 from tests.test_macro_fem.sheets import solve_scene
 

@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homogenize.io import default_law
-from homogenize.laws.net import diagonal_net
+from homogenize import default_law, diagonal_net
+from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
 from macro_fem.fem.discretization import discretize
-from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.path import PathOptions, Terms
 from tests.test_macro_fem.sheets import mesh_of, posed, solve_scene, supported

@@ -5,10 +5,10 @@ import pytest
 from benchmarks.omissions import curtains
 from benchmarks.problems import square
 from homogenize import default_law
+from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
 from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.scene import read_scene
 
 LAW = default_law()
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from homogenize import ClothLaw
+from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
 from macro_fem.drag import wind_density
 from macro_fem.fem.assembly import load_vector
 from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.scene import read_scene
 from macro_fem.scene.sites import Sliding
 from macro_fem.scene.supports import Supports
 

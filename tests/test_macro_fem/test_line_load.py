@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from homogenize.io import default_law
-from homogenize.laws.net import diagonal_net
+from homogenize import default_law, diagonal_net
+from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
 from macro_fem.fem.cells import recovered
 from macro_fem.output.line_load import Nearby, largest, largest_mean, summary
-from macro_fem.scene.scene import read_scene
 from tests.test_macro_fem.sheets import mesh_of, posed, sheet, solve_scene
 
 AREA = 11.0 * 12.646069623526

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from homogenize.laws.net import diagonal_net
+from homogenize import diagonal_net
+from macro_fem import read_scene
 from macro_fem.cli import main
 from macro_fem.fem.cells import signed_areas
-from macro_fem.scene.scene import read_scene
 from rve.common import InputError
 from tests.squares import MSH, mesh_of, msh22, write_square
 from tests.test_macro_fem.sheets import solve_scene

@@ -16,6 +16,7 @@ from scipy.special import ellipk
 
 import macro_fem
 from homogenize import default_law, with_material
+from macro_fem import read_scene
 from macro_fem.cli import main
 from macro_fem.motion import files, pace
 from macro_fem.motion.curtain import MovingCurtain
@@ -27,7 +28,6 @@ from macro_fem.motion.step import Moment, kinetic_energy
 from macro_fem.output.forces import winds
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.loads import wind_pressure
-from macro_fem.scene.scene import read_scene
 from rve.common import InputError
 from tests.commands import run
 from tests.test_macro_fem.sheets import fallen, solve_scene, still_air

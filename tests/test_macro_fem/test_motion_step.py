@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+from macro_fem import read_scene
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
 from macro_fem.motion.step import Account, Moment, TimeStep, end_of, kinetic_energy, solve_step
 from macro_fem.problem import CurtainProblem
-from macro_fem.scene.scene import read_scene
 from macro_fem.solvers.cones import green_strain
 from macro_fem.solvers.path import Inertia
 from macro_fem.solvers.walls import WallRows, Walls

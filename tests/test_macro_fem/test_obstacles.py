@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from homogenize import default_law
+from macro_fem import read_scene, solve
 from macro_fem.curtain import solve_problem
-from macro_fem.job import solve
 from macro_fem.output.forces import obstacle_summary, pushes_of
 from macro_fem.scene.obstacles import Obstacle, PlacedObstacle
-from macro_fem.scene.scene import read_records, read_scene
+from macro_fem.scene.scene import read_records
 from macro_fem.shape_loop import solve_shape
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
 from tests.test_macro_fem.sheets import posed, sheet

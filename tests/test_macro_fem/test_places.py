@@ -12,9 +12,8 @@ import skfem
 from click.testing import CliRunner
 
 import macro_fem
-from homogenize import default_law
-from homogenize.laws.net import diagonal_net
-from homogenize.laws.protocol import CellInfo
+from homogenize import default_law, diagonal_net
+from macro_fem import read_scene
 from macro_fem.cli import main
 from macro_fem.fem.cells import signed_areas
 from macro_fem.output.files import summarize
@@ -24,8 +23,8 @@ from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.loads import disk_areas
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.meshing.nodes import LEAST_SINE
-from macro_fem.scene.scene import read_scene
 from rve.common import InputError
+from rve.geometry import CellInfo
 from tests.test_macro_fem.sheets import least_angle, solve_scene
 
 LAW = diagonal_net(1.1)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from homogenize.io import default_law
+from homogenize import default_law
+from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
-from macro_fem.scene.scene import read_scene
 from rve.common import InputError
 from tests.test_macro_fem.sheets import posed
 

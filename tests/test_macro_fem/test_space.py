@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from homogenize.io import default_law
-from macro_fem.job import compare, solve
+from homogenize import default_law
+from macro_fem import compare, load_scene, read_scene, solve
 from macro_fem.output.files import features
 from macro_fem.problem import gathered_start
-from macro_fem.scene.scene import load_scene, read_scene
 from macro_fem.scene.tables import HeldAxes
 from macro_fem.solvers.cones import green_strain
 from macro_fem.solvers.status import load_scale

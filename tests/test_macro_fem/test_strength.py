@@ -7,17 +7,14 @@ import numpy as np
 import pytest
 
 from homogenize import default_law, fit, ring_net, with_material
-from macro_fem.job import solve
+from macro_fem import largest_that_holds, read_scene, solve
 from macro_fem.output.files import curtain_mesh, summarize
 from macro_fem.output.strength import EXTRAPOLATED, TOO_COARSE, critical_load, nearest, summary, utilisation
 from macro_fem.output.told import combination_lines, holds_line
 from macro_fem.scene.meshing.mesh_files import read_mesh_file
-from macro_fem.scene.scene import read_scene
-from macro_fem.size import largest_that_holds
-from rve import Cell, named_material, pulled_ring, solve_table, with_rings
+from rve import Cell, named_material, pulled_ring, read_table, solve_table, with_rings
 from rve.common import InputError
 from rve.common.files import write_mesh_file
-from rve.table import read_table
 from tests.test_macro_fem.sheets import sheet, solve_scene
 
 TABLE = Path(__file__).parents[1] / "test_homogenize" / "data" / "table190.csv"

@@ -5,12 +5,11 @@ import pytest
 
 import macro_fem
 import rve
-from homogenize.io import default_law
-from homogenize.laws.net import diagonal_net
+from homogenize import default_law, diagonal_net
+from macro_fem import read_scene
 from macro_fem.curtain import solve_convex, solve_problem
 from macro_fem.drag import P2_PARTS, front_of, wind_density, wind_summary
 from macro_fem.scene.loads import drag_coefficient, ring_solidity
-from macro_fem.scene.scene import read_scene
 from macro_fem.shape_loop import solve_shape
 from rve.common import InputError
 from tests.test_macro_fem.sheets import posed, sheet

@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.problems import normality
+from rve import Cell, DirectOptions, solve_table
 from rve.common.tensor import double_dot
-from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
+from rve.equilibrium.interior_point import solve_equilibrium
 from rve.equilibrium.limits import contact_forces, polish
 from rve.equilibrium.steps import accept_step
 from rve.equilibrium.system import Equations
 from rve.geometry import (
     FOUR_IN_ONE,
-    Cell,
     Pose,
     cauchy_line_load,
     find_contacts,
@@ -24,7 +24,7 @@ from rve.geometry import (
     start_pose,
     tangent_frame,
 )
-from rve.solve import locked_block, reference_sides, solve_table
+from rve.solve import locked_block, reference_sides
 
 OPTIONS = DirectOptions()
 FIRST = DirectOptions(branches="first")

@@ -5,15 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rve import Cell, DirectOptions, solve_table, with_rings
 from rve.common.materials import Material, named_material
 from rve.common.tensor import trace
-from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
+from rve.equilibrium.interior_point import solve_equilibrium
 from rve.equilibrium.limits import with_limits
 from rve.equilibrium.system import Equations
-from rve.geometry import FOUR_IN_ONE, Cell, cauchy_line_load, deformation, green_lagrange, second_pk, tangent_frame
+from rve.geometry import FOUR_IN_ONE, cauchy_line_load, deformation, green_lagrange, second_pk, tangent_frame
 from rve.placed import central_forces
-from rve.solve import locked_block, reference_sides, solve_table
-from rve.wire import Ring, out_of_plane_inertia, peak_stress, ring_states, shear_factor, with_rings
+from rve.solve import locked_block, reference_sides
+from rve.wire import Ring, out_of_plane_inertia, peak_stress, ring_states, shear_factor
 from rve.wire.cell_stiffness import contact_ends, contact_flexibility, elastic_forces
 
 from .frame import frame_flexibility

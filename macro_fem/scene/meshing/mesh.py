@@ -13,7 +13,6 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay
 
-from homogenize import CellInfo
 from macro_fem.fem.cells import counterclockwise, signed_areas
 from macro_fem.scene.meshing.edges import inherited_edges, named_edges, paths
 from macro_fem.scene.meshing.mesh_files import MAX_TRIANGLES
@@ -25,6 +24,7 @@ from macro_fem.scene.sites import Hanging
 from macro_fem.scene.tables import PatchLoad, Vector
 from rve.common import Array, InputError, shown
 from rve.common.typed import did_you_mean
+from rve.geometry import CellInfo
 
 MAX_LATTICE = 8_000_000
 """Lattice points in the box, turned with the weave, around the outline: 0.5 GB while they are chosen from."""

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from homogenize.fitting.bounds import inner_law, outer_law
-from homogenize.fitting.fit import cell_of, stiffness_of
 from homogenize.fitting.rows import rows_from_table
+from homogenize.fitting.table import cell_of, stiffness_of
 from homogenize.io import DEFAULT_LAW, load_law
 from homogenize.laws.geometry import highest
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import MembraneLaw
+from homogenize.laws.rows import LockedRows, with_mirror
 from homogenize.laws.stored import StoredLaw
-from homogenize.rows import LockedRows, with_mirror
-from homogenize.strength import Strength, strength_of_table
+from homogenize.laws.strength import Strength, strength_of_table
 from rve import read_table
 from rve.common import Array, InputError, checked
 from rve.geometry import CellInfo

@@ -3,7 +3,7 @@
 Rings that give make the locked strain depend on the size of the load, E = dh/dS + A S. The compliance D = dE/dS of a
 row holds both: the bend of the locking surface, none along S because h is homogeneous of degree one, and A. So S:D S =
 S:A S, and one positive definite A with the symmetry of the weave is fitted to these. The strength of the law keeps S:D
-S of every direction (`homogenize.strength`), of which `homogenize.laws.giving` makes the law of elastic curtains.
+S of every direction (`homogenize.laws.strength`), of which `homogenize.laws.giving` makes the law of elastic curtains.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from homogenize.laws.net import STATED_STIFFNESS, ring_net
 from homogenize.laws.polyhedral import PolyhedralLaw, giving_law, polyhedral_law
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.report import ErrorReport
+from homogenize.laws.rows import LockedRows
 from homogenize.laws.stored import StoredLaw
-from homogenize.rows import LockedRows
-from homogenize.strength import strength_of_table
+from homogenize.laws.strength import strength_of_table
 from rve import StrainTable
 from rve.common import Array, InputError, Typed, checked, checksum
 from rve.common.tensor import disc, trace
