@@ -9,21 +9,18 @@ import numpy as np
 from benchmarks.frame import Section, table
 from benchmarks.measure import Row, count_of, outcomes
 from benchmarks.problems import normality, square
-from homogenize import default_law
-from homogenize.laws.net import ring_net
-from homogenize.laws.polyhedral import PolyhedralLaw
-from homogenize.laws.protocol import MembraneLaw
+from homogenize import MembraneLaw, default_law, ring_net
+from homogenize.laws import PolyhedralLaw
 from macro_fem import read_scene
 from macro_fem.curtain import make_problem, solve_problem
 from macro_fem.fem.hung_law import HungLaw
 from macro_fem.scene.meshing.mesh import build_mesh
+from rve import Cell, StrainTable, solve_table
 from rve.common import InputError
 from rve.directions import product
 from rve.equilibrium.system import Equations
-from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, Cell, Weave, cauchy_line_load
+from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, Weave, cauchy_line_load
 from rve.simulation import ROUND_OFF, StewartTrinkleOptions, simulate
-from rve.solve import solve_table
-from rve.table import StrainTable
 
 R1, WIRE = 5.0, 0.1
 RATIOS = (

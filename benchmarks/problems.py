@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rve import StrainTable
 from rve.directions import product
-from rve.table import StrainTable
 
 Array = NDArray[np.float64]
 

@@ -14,13 +14,9 @@ import examples.curtain
 from benchmarks.frame import Section, table
 from benchmarks.measure import least_seconds
 from benchmarks.problems import loads, normality, square
-from homogenize import load_law
-from homogenize.fitting.fit import fit_table
+from homogenize import fit_table, load_law
 from macro_fem import read_scene, solve
-from rve.equilibrium.interior_point import DirectOptions
-from rve.geometry import Cell
-from rve.solve import solve_table
-from rve.table import write_table
+from rve import Cell, DirectOptions, solve_table, write_table
 
 Said = list[tuple[str, str]]
 

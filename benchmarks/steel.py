@@ -12,15 +12,12 @@ import numpy as np
 from benchmarks.frame import Section, table
 from benchmarks.measure import ROOT, Row
 from homogenize import default_law, with_material
-from homogenize.laws.giving import constant_compliance
-from homogenize.laws.polyhedral import PolyhedralLaw
-from macro_fem import load_scene
+from homogenize.laws import PolyhedralLaw, constant_compliance
+from macro_fem import Scene, load_scene, solve
 from macro_fem.curtain import CurtainSolution, make_problem, solve_problem
 from macro_fem.fem.cells import signed_areas
-from macro_fem.job import solve
 from macro_fem.output.strength import summary, utilisation
 from macro_fem.scene.meshing.mesh import CurtainMesh, refine
-from macro_fem.scene.scene import Scene
 from rve.common.tensor import trace
 
 EXAMPLES = ["corner_hung", "facade_panel", "facade_wind", "gathered_with_bar", "over_the_edge", "passage"]

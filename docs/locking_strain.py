@@ -24,7 +24,7 @@ def rows_of(weave: str) -> list[list[float]]:
         cell = rve.Cell(r1=float(ratio), r2=1.0, weave=rve.WEAVES[weave])
         table = rve.solve_table(cell, ([0.0] * len(PULLS), list(PULLS.values())))
         assert (table.status == "converged").all(), (weave, ratio, table.status)
-        sides = [table.provenance[key] / ratio for key in ("b_x_mm", "b_y_mm")]
+        sides = [side / ratio for side in table.cell.sides_mm]
         rows.append([ratio, *sides, *table.E[:, [0, 2]].ravel()])
     return rows
 

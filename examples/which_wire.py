@@ -28,7 +28,7 @@ from rve.common.files import check_out_job, job, write_text
 from rve.common.texts import csv_text
 
 if TYPE_CHECKING:
-    from macro_fem.scene.scene import Scene
+    from macro_fem import Scene
     from rve import Material
 
 DIAMETERS = "0.7,0.8,1,1.2,1.4,1.7,2"

@@ -11,7 +11,7 @@ from rve.common.commands.command_line import Group, answer, check_plot, parse_lo
 from rve.common.materials import Stress
 
 KINDS = ("refined", "outer", "inner", "net")
-"""Those of `homogenize.fitting.fit`, which is not imported to print a help text."""
+"""Those of `homogenize.fitting.table`, which is not imported to print a help text."""
 
 
 @click.group(cls=Group)
@@ -33,7 +33,7 @@ def main() -> None:
 )
 def fit(table: Path, out: Path, kind: str | None, noise: float | None, resolution: float | None) -> None:
     """Fit a law to TABLE, write it and print how wrong it can be."""
-    from homogenize.fitting.fit import FitOptions, fit_table
+    from homogenize.fitting.table import FitOptions, fit_table
 
     check_out_file(out, inputs=[table])
     for option, name, value in (("--noise", "normality", noise), ("--resolution", "resolution", resolution)):
@@ -125,7 +125,8 @@ def plot(law: Path, table: Path, out: Path) -> None:
 def export(law: Path, out: Path) -> None:
     """Write LAW as a user material (UMAT, Fortran 77) for membranes in plane stress."""
     from homogenize.export.umat import write_umat
-    from homogenize.io import load_law, strength_of_law
+    from homogenize.io import load_law
+    from homogenize.laws.stored import strength_of_law
 
     check_out_file(out, inputs=[law])
     found = load_law(law)

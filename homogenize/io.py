@@ -9,12 +9,25 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from homogenize import laws
-from homogenize.laws.protocol import CellInfo, MembraneLaw
+from homogenize.laws.net import STATED_STIFFNESS
+from homogenize.laws.report import ErrorReport
+from homogenize.laws.rows import read_rows
 from homogenize.laws.stored import SCHEMA, UNITS, StoredLaw
-from homogenize.strength import Strength, read_strength
-from rve.common import Typed, checked, read_as, read_json_object, read_typed, shown
-from rve.common.cell_fields import check_rings
+from homogenize.laws.strength import read_strength
+from rve.common import (
+    InputError,
+    Typed,
+    read_as,
+    read_json_object,
+    read_typed,
+    refuse_unknown,
+    shown,
+    types_of,
+)
+from rve.geometry import CellInfo, read_cell_info
 
 DEFAULT_LAW = Path(__file__).parent / "data" / "rings_10.json"
 """The file of `default_law`."""
@@ -31,6 +44,7 @@ class LawEntries(Typed):
     parameters: dict[str, Any]
     strength: dict[str, Any] | None = None
     provenance: dict[str, Any] | None = None
+    stiffness_is_measured: bool | None = None
 
     def check(self) -> None:
         for key, found, known in (("schema", self.schema, SCHEMA), ("units", self.units, UNITS)):
@@ -53,24 +67,56 @@ def default_law() -> StoredLaw:
     return load_law(DEFAULT_LAW)
 
 
-@checked
-def strength_of_law(law: MembraneLaw) -> Strength | None:
-    """The strength of the rings behind `law`; None if it has none, as laws without a file and those of old tables."""
-    return law.strength if isinstance(law, StoredLaw) else None
-
-
 def load_law(path: str | Path) -> StoredLaw:
-    """The law in the file `path`, with its provenance, error report and strength.
+    """The law in the file `path`, with its rings, rows, error report and strength.
 
     InputError names file, key and value of what this version does not read.
     """
     with read_as("law", path):
-        found = read_typed(LawEntries, read_json_object(path), f"{path}:")
-    strength = found.strength
-    check_rings(found.cell or {}, f"{path}: cell")
+        entries = read_typed(LawEntries, read_json_object(path), f"{path}:")
+    where, provenance = f"{path}:", dict(entries.provenance or {})
+    rows, report = provenance.pop("table_rows", None), provenance.pop("report", None)
+    strength = None if entries.strength is None else read_strength(entries.strength, f"{where} strength")
+    cell = None if entries.cell is None else _read_cell(entries.cell, provenance, f"{where} cell")
+    if cell is not None and cell.material is None and strength is not None:
+        cell = replace(cell, material=strength.material)
     return replace(
-        law_kinds()[found.kind].from_dict(found.parameters, f"{path}: parameters"),
-        cell=None if found.cell is None else read_typed(CellInfo, found.cell, f"{path}: cell"),
-        strength=None if strength is None else read_strength(strength, f"{path}: strength"),
-        provenance=found.provenance or {},
+        law_kinds()[entries.kind].from_dict(entries.parameters, f"{where} parameters"),
+        cell=cell,
+        strength=strength,
+        rows=None if rows is None else read_rows(rows, f"{where} provenance table_rows:"),
+        report=None if report is None else read_typed(ErrorReport, report, f"{where} provenance report:"),
+        stiffness_is_measured=_is_measured(entries, provenance),
+        provenance=provenance,
     )
+
+
+def _read_cell(cell: dict[str, Any], provenance: dict[str, Any], where: str) -> CellInfo:
+    """The rings of a law. What files before version 0.3 do not tell is told by the sidecar of their table, else by the
+    sides of the reference cell."""
+    refuse_unknown(cell, types_of(CellInfo), where)
+    sidecar = provenance.get("table_provenance")
+    sidecar = sidecar if isinstance(sidecar, dict) else {}
+    options = sidecar.get("options")
+    beside = sidecar | (options if isinstance(options, dict) else {})
+    told = {key: beside[key] for key in ("weave", "grain", "reference", "material") if key in beside} | cell
+    info = read_cell_info(told, where)
+    if "weave" in told:
+        return info
+    from rve.finite import cell_of_sides  # which brings the solver of every ring
+
+    try:
+        mesh = cell_of_sides(info.r1_mm, info.r2_mm, info.sides_mm)
+    except InputError:
+        return replace(info, weave=None)
+    return replace(info, weave=mesh.weave.name, grain=mesh.grain)
+
+
+def _is_measured(entries: LawEntries, provenance: dict[str, Any]) -> bool:
+    """Whether the stiffness is that of the rings: files before version 0.3 say so in words, or by a stated number."""
+    if entries.stiffness_is_measured is not None:
+        return entries.stiffness_is_measured
+    if "stiffness" in provenance:
+        return not str(provenance["stiffness"]).startswith("stated")
+    stated = STATED_STIFFNESS, (STATED_STIFFNESS * np.eye(3)).tolist()
+    return entries.parameters.get("stiffness_N_per_mm", STATED_STIFFNESS) not in stated

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, TypeVar, cast
 
-from homogenize.interval import LawInterval
+from homogenize.fitting.interval import LawInterval
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.stored import StoredLaw
-from homogenize.strength import MAKE_AGAIN
+from homogenize.laws.strength import MAKE_AGAIN
 from rve.common import InputError, checked
 from rve.common.materials import Material, material_of
 
@@ -31,15 +31,18 @@ def with_material(law: Kind, given: Mapping[str, Any], where: str = "") -> Kind:
     if not given:
         return law
     laws = (law.inner, law.law, law.outer) if isinstance(law, LawInterval) else (law,)
-    known = next((one.strength for one in laws if isinstance(one, StoredLaw) and one.strength is not None), None)
-    if known is None:
+    old = next((one.cell.material for one in laws if one.cell is not None and one.cell.material is not None), None)
+    if old is None:
         raise InputError(f"{where} needs a law that knows the material of its rings; {MAKE_AGAIN}".lstrip())
     if given.get("poisson") is not None:
         raise InputError(
-            f"{where} poisson = {given['poisson']}: is that of the law's table, {known.material.poisson:g}; make the "
-            "table again with rve table --rings --poisson".lstrip()
+            f"{where} poisson = {given['poisson']}: is that of the law's table, {old.poisson:g}; make the table again "
+            "with rve table --rings --poisson".lstrip()
         )
-    old, new = known.material, material_of(given, where, base=known.material)
+    new = material_of(given, where, base=old)
+    is_strong = any(isinstance(one, StoredLaw) and one.strength is not None for one in laws)
+    if not is_strong and not {"yield", "ultimate"}.isdisjoint(given):
+        raise InputError(f"{where} needs a law that knows the strength of its rings; {MAKE_AGAIN}".lstrip())
     changed = {id(one): _changed(one, old, new) for one in laws}
     if not isinstance(law, LawInterval):
         return cast("Kind", changed[id(law)])
@@ -54,7 +57,7 @@ def _changed(law: MembraneLaw, old: Material, new: Material) -> MembraneLaw:
     softer, cell, known = old.young_N_per_mm2 / new.young_N_per_mm2, law.cell, law.strength
     if cell is not None:
         mass = cell.areal_mass_kg_per_m2 * new.density_kg_per_mm3 / old.density_kg_per_mm3
-        cell = replace(cell, areal_mass_kg_per_m2=mass)
+        cell = replace(cell, areal_mass_kg_per_m2=mass, material=new)
     if known is not None:
         known = replace(known, material=new, compliance=known.compliance * softer)
     return replace(law, cell=cell, strength=known).softer(softer)

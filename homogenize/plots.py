@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from homogenize.fitting.bounds import bounds_of
-from homogenize.fitting.fit import cell_of
 from homogenize.fitting.report import random_loads
-from homogenize.fitting.rows import LockedRows, rows_from_table, with_mirror
+from homogenize.fitting.rows import rows_from_table
 from homogenize.laws import pictures
 from homogenize.laws.pictures import locking_surface, solid_axes
 from homogenize.laws.protocol import MembraneLaw
+from homogenize.laws.rows import LockedRows, with_mirror
 from homogenize.laws.stored import StoredLaw
 from homogenize.query.strain import locked_strain
 from rve.common import Array, job, tell
@@ -38,8 +38,8 @@ def write_pictures(law: StoredLaw, table: StrainTable, folder: str | Path, input
 
     Returns the paths of the pictures; InputError if one would overwrite `inputs`, and for a table of other rings.
     """
-    if law.cell is not None and table.provenance:
-        law.cell.check_same(cell_of(table), "the table", "the law")
+    if law.cell is not None and table.cell is not None:
+        law.cell.check_same(table.cell, "the table", "the law")
     rows = rows_from_table(table)
     tell("drawing")
     figures = {

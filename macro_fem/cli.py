@@ -132,7 +132,7 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
     The same command again goes on from the answers in --out. Exit code 0: found; 2: bad input, or no value holds (its
     files are written).
     """
-    from homogenize import interval_or_law
+    from homogenize.fitting import interval_or_law
     from macro_fem.demand.rings import ring_options
     from macro_fem.output.pictures import Pictures
     from macro_fem.scene.reading import load_scene

@@ -4,14 +4,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
-from homogenize import (
-    LawInterval,
-    MembraneLaw,
-    default_law,
-    interval_or_law,
-    read_law_interval,
-    with_material,
-)
+from homogenize import LawInterval, MembraneLaw, default_law, read_law_interval, with_material
+from homogenize.fitting import interval_or_law
 from macro_fem.answer import RECORD, Solution, read_job
 from macro_fem.bounds.interval import admissible_problem, levels
 from macro_fem.curtain import CurtainSolution, make_problem, solve_problem
@@ -27,8 +21,8 @@ from macro_fem.scene.reading import load_scene
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import Combination, LiveLoad
+from rve import Cell
 from rve.common import Cache, InputError, check_out_job, checked, noted_if_stopped, part_of
-from rve.geometry import Cell
 
 Who = MembraneLaw | LawInterval | OnDemand | EveryRing | None
 """Who answers: a law, the interval of laws of a table, a law asked of the rings on the way, or every ring; None for the

@@ -32,9 +32,10 @@ from macro_fem.scene.meshing.outline_files import write_outline
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Combination
 from macro_fem.solvers.status import Status
-from rve.common import InputError, check_out_file, checked, csv_text, write_text
+from rve.common import check_out_file, checked, csv_text, write_text
 from rve.common.files import write_mesh_file
 from rve.common.optional import Axes
+from rve.geometry import CellInfo
 
 if TYPE_CHECKING:
     from macro_fem.demand.loop import Demand
@@ -187,7 +188,7 @@ def order(solution: CurtainSolution, summary: dict[str, Any]) -> dict[str, Any]:
     return {
         "mesh_width_mm": width,
         "mesh_height_mm": height,
-        **_rings(float(solution.problem.disc.cell_area.sum()), summary),
+        **_rings(float(solution.problem.disc.cell_area.sum()), solution.problem.law.cell),
         "mass_kg": summary["mass_kg"],
         "hooks": len(points),
         "hook_pitch_mm": next((one["pitch_mm"] for one in single if "pitch_mm" in one), None),
@@ -197,12 +198,10 @@ def order(solution: CurtainSolution, summary: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _rings(area: float, summary: dict[str, Any]) -> dict[str, Any]:
+def _rings(area: float, info: CellInfo | None) -> dict[str, Any]:
     """The rings and their weave, and how many cells and rings are on an area in mm2."""
-    try:
-        cell = read_told(summary, "").cell("")
-    except InputError:  # a law without rings, or of a weave that is not known
+    if info is None or info.weave is None:
         return dict.fromkeys(("cells", "rings", "weave", "r1_mm", "r2_mm"))
-    cells = area / (summary["rings"]["b_x_mm"] * summary["rings"]["b_y_mm"] * math.prod(cell.weave.repeat))
-    kind = {"weave": cell.weave.name, "r1_mm": cell.r1, "r2_mm": cell.r2}
-    return {"cells": round(cells), "rings": round(cells * cell.weave.classes)} | kind
+    cells = area / math.prod(info.sides_mm)
+    kind = {"weave": info.weave, "r1_mm": info.r1_mm, "r2_mm": info.r2_mm}
+    return {"cells": round(cells), "rings": round(cells * info.cell().weave.classes)} | kind

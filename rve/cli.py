@@ -171,8 +171,9 @@ def case(alpha: float, beta: float, plot: Path | None, **cell: Any) -> None:
     status = str(found.status[0])
     if status != "converged":
         raise NotConverged(f"{status}: {SENTENCES[status]}")
+    assert found.cell is not None
     row = {name: column[0] for name, column in found.columns().items() if name in COLUMNS}
-    answer(row | {"areal_mass_kg_per_m2": found.provenance["areal_mass_kg_per_m2"]}, always=True)
+    answer(row | {"areal_mass_kg_per_m2": found.cell.areal_mass_kg_per_m2}, always=True)
     if plot is not None:
         tell(f"drawing {plot}")
         save_figure(plot, draw_case(found).figure)

@@ -1,15 +1,13 @@
 """From load directions to a strain-load table."""
 
 import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rve.common import SENTENCES, Array, InputError, NotConverged, checked, part_of, versions
-from rve.common.cell_fields import areal_mass
-from rve.common.files import TABLE_FORMAT
 from rve.common.tensor import double_dot
 from rve.directions import grid
 from rve.equilibrium.branches import RowStates, largest_rows
@@ -19,7 +17,7 @@ from rve.equilibrium.largest_work import in_cell
 from rve.equilibrium.limits import with_limits
 from rve.equilibrium.mixtures import MOVED
 from rve.equilibrium.system import Equations, mirror_modes
-from rve.geometry.cell import Cell, weave_axes
+from rve.geometry.cell import Cell, CellInfo, weave_axes
 from rve.geometry.contacts import unlisted_gap
 from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
 from rve.geometry.pose import Pose
@@ -67,6 +65,12 @@ def reference_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
     """
     x2, x3 = lattice_mm(reference_pose(cell, options), cell)
     return float(x2[0, 0]), float(x3[0, 1])
+
+
+def reference_cell(cell: Cell, options: DirectOptions | None = None) -> CellInfo:
+    """The rings of a cell with the reference cell that strains refer to, see `reference_sides`. Raises NotConverged."""
+    options = options or DirectOptions()
+    return CellInfo.of(cell, reference_sides(cell, options), options.reference)
 
 
 def reference_pose(cell: Cell, options: DirectOptions) -> Pose:
@@ -120,17 +124,17 @@ def solve_table(
     options = options or DirectOptions()
     began = time.perf_counter()
     alpha, beta = checked_angles(*(grid(5.0, cell.weave) if loads is None else loads))
-    sides = reference_sides(cell, options)
+    info = reference_cell(cell, options)
     states = locked_states(alpha, beta, cell, options)
     record: dict[str, Any] = {}
     if options.branches == "largest":
-        table, record["branches"] = largest_table(alpha, beta, states, options, sides)
+        table, record["branches"] = largest_table(alpha, beta, states, options, info.sides_mm)
     elif cell.is_larger:
         raise InputError("--branches first follows the slack pose, which is the same in every cell: leave out --cells")
     else:
-        table = table_rows(alpha, beta, states, sides)
-    provenance = table_provenance(cell, options, sides, table.status, time.perf_counter() - began)
-    return replace(table, provenance=provenance | record)
+        table = table_rows(alpha, beta, states, info.sides_mm)
+    provenance = table_provenance(cell, table.status, time.perf_counter() - began)
+    return replace(table, cell=info, options=options, provenance=provenance | record)
 
 
 def largest_table(
@@ -184,29 +188,13 @@ def table_rows(alpha: Array, beta: Array, states: LockedStates, sides: tuple[flo
     return StrainTable(alpha, beta, E, S, x2, x3, states.unique, found.status, quality, states=states)
 
 
-def table_provenance(
-    cell: Cell, options: DirectOptions, sides: tuple[float, float], status: NDArray[np.str_], wall: float
-) -> dict[str, Any]:
-    """What a table by the direct solver is made of: mesh, reference sides in mm, options, outcome, wall time in s."""
+def table_provenance(cell: Cell, status: NDArray[np.str_], wall: float) -> dict[str, Any]:
+    """How a table by the direct solver came about, beside its cell and options: outcome, versions, wall time in s."""
     statuses, counts = np.unique(status, return_counts=True)
-    b_x, b_y = sides
-    ring_area = b_x * b_y * cell.weave.repeat[0] * cell.weave.repeat[1] / cell.weave.classes
     return {
-        "format": TABLE_FORMAT,
-        "format_version": 1,
-        "weave": cell.weave.name,
         "cells": list(cell.cells),
         "centres": cell.centres,
-        "grain": cell.grain,
-        "r1_mm": cell.r1,
-        "r2_mm": cell.r2,
-        "b_x_mm": b_x,
-        "b_y_mm": b_y,
-        "density_kg_per_mm3": cell.material.density_kg_per_mm3,
-        "material": asdict(cell.material),
-        "areal_mass_kg_per_m2": areal_mass(cell.r1, cell.r2, ring_area, cell.density),
         "method": "direct",
-        "options": asdict(options),
         "rows": {str(k): int(v) for k, v in zip(statuses, counts, strict=True)},
         "bound_note": cell.bound_note,
         "sentences": {str(k): SENTENCES[str(k)] for k in statuses if k != "converged"},

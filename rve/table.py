@@ -7,7 +7,8 @@ cone).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,16 +17,17 @@ from numpy.typing import NDArray
 
 from rve.common import Array, InputError, Rows, atomic_path, check_belongs, checksum, json_text, require, sidecar_path
 from rve.common.arguments import checked
-from rve.common.cell_fields import check_rings
+from rve.common.cell_fields import Joint, check_rings
 from rve.common.files import TABLE_FORMAT, AnyPath, Inputs, check_out_file
 from rve.common.records import ByValue
 from rve.common.texts import csv_text, number_column, read_as, read_columns, read_json_object
-from rve.geometry.weave import WEAVES
+from rve.common.typed import read_typed, types_of
+from rve.equilibrium.interior_point import DirectOptions, LockedStates
+from rve.geometry.cell import CellInfo, read_cell_info
+from rve.geometry.weave import FOUR_IN_ONE
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-    from rve.equilibrium.interior_point import LockedStates
 
 _PARTS = {"E": ["E11", "E12", "E22"], "S": ["S11", "S12", "S22"]}
 _PARTS |= {"x2_mm": ["x2_x_mm", "x2_y_mm"], "x3_mm": ["x3_x_mm", "x3_y_mm"]}
@@ -35,6 +37,8 @@ _PARTS |= {"strength": ["first_yield_1_per_mm", "collapse_1_per_mm"]}
 in N/mm2 that a line load S with S11 + S22 = 1 N/mm asks of the wire."""
 COLUMNS = ["alpha_deg", "beta_deg", *_PARTS["E"], *_PARTS["S"], *_PARTS["x2_mm"], *_PARTS["x3_mm"]]
 COLUMNS += ["R", "min_gap_mm", "contacts", "unique", "status", "iterations"]
+REFERENCE = {"r1_mm", "r2_mm", "b_x_mm", "b_y_mm"}
+"""What a sidecar says of the rings and their reference cell at least."""
 _REQUIRED = ("alpha_deg", "beta_deg", "E11", "E12", "E22", "S11", "S12", "S22", "status")
 _MOST = {"alpha_deg": 360.0, "beta_deg": 360.0, "contacts": 1e9, "unique": 1.0, "iterations": 1e9}
 _MOST |= dict.fromkeys(("E11", "E12", "E22"), 1e3) | dict.fromkeys(("S11", "S12", "S22"), 1e9)
@@ -55,13 +59,15 @@ class StrainTable(ByValue):
     """A strain-load table of n rows.
 
     alpha_deg, beta_deg (n,); E, S (n, 3); x2_mm, x3_mm (n, 2); unique (n,) bool; status (n,) str; quality: how well
-    each row is solved; compliance (n, 3, 3) dE/dS in mm/N or None; provenance: radii, reference cell, method,
-    tolerances, versions, wall time; states: the locked states of the direct solver, which are not written to files,
-    None for a table that was read. branch (n,) str or None: how the locked state was reached, "slack", "restart",
+    each row is solved; compliance (n, 3, 3) dE/dS in mm/N or None; provenance: method, versions, wall time, and what
+    else its sidecar file says; states: the locked states of the direct solver, which are not written to files, None
+    for a table that was read. branch (n,) str or None: how the locked state was reached, "slack", "restart",
     or "coexisting" where a second state does the same work under S (`rve.equilibrium.branches`); "below" only in
     rows of that status.
     strength (n, 2) or None: the yield stress over S11 + S22, in 1/mm, at which the row's load is that of first
-    yield and of plastic collapse.
+    yield and of plastic collapse. cell: the rings and their reference cell, None for a table whose file does not tell
+    them; options: of the solver, None where they are not those of this version; joint: of the rings, None without
+    their strength.
     """
 
     alpha_deg: Array
@@ -78,6 +84,9 @@ class StrainTable(ByValue):
     branch: NDArray[np.str_] | None = None
     states: LockedStates | None = field(default=None, repr=False, compare=False)
     strength: Array | None = None
+    cell: CellInfo | None = None
+    options: DirectOptions | None = None
+    joint: str | None = None
 
     def __len__(self) -> int:
         return len(self.alpha_deg)
@@ -89,13 +98,24 @@ class StrainTable(ByValue):
 
     @property
     def is_mirrored(self) -> bool:
-        """Whether the weave that the provenance names is its own mirror image, so that every row stands for two.
+        """Whether the weave is its own mirror image, so that every row stands for two.
 
         Tables without a sidecar are of the 4-in-1 weave, which is; a weave that is not known here counts as chiral, so
         that nothing is added to its rows.
         """
-        name = self.provenance.get("weave", "4-in-1")
-        return isinstance(name, str) and name in WEAVES and WEAVES[name].is_mirrored
+        return FOUR_IN_ONE.is_mirrored if self.cell is None else self.cell.is_mirrored
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """What the sidecar file says, but for the checksum."""
+        record: dict[str, Any] = {"format": TABLE_FORMAT, "format_version": 1}
+        if self.cell is not None:
+            metal = self.cell.material
+            record |= asdict(self.cell) | {"density_kg_per_mm3": metal and metal.density_kg_per_mm3}
+            record = {key: value for key, value in record.items() if value is not None and key != "reference"}
+        record |= {} if self.options is None else {"options": asdict(self.options)}
+        record |= {} if self.joint is None else {"compliance": "rings", "joint": self.joint}
+        return record | self.provenance
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """The columns of the CSV file, by name."""
@@ -107,7 +127,7 @@ class StrainTable(ByValue):
         return {name: known[name] for name in order if known.get(name) is not None}
 
     def to_pandas(self) -> DataFrame:
-        """The table as a pandas DataFrame with the columns of its CSV file; its `attrs` hold the provenance.
+        """The table as a pandas DataFrame with the columns of its CSV file; its `attrs` hold its `record`.
 
         InputError if pandas is not installed.
         """
@@ -115,7 +135,7 @@ class StrainTable(ByValue):
         from pandas import DataFrame
 
         frame = DataFrame(self.columns())
-        frame.attrs.update(self.provenance)
+        frame.attrs.update(self.record)
         return frame
 
     def save(self, path: AnyPath) -> None:
@@ -123,8 +143,7 @@ class StrainTable(ByValue):
         write_table(self, path)
 
     def __str__(self) -> str:
-        known = self.provenance
-        rings = f", r1 = {known['r1_mm']:g} mm, r2 = {known['r2_mm']:g} mm" if "r2_mm" in known else ""
+        rings = "" if self.cell is None else f", r1 = {self.cell.r1_mm:g} mm, r2 = {self.cell.r2_mm:g} mm"
         return f"StrainTable: {int(self.converged.sum())} of {len(self)} rows converged{rings}"
 
     __repr__ = __str__
@@ -155,7 +174,7 @@ def write_table(table: StrainTable, path: AnyPath) -> None:
     with atomic_path(sidecar) as record, atomic_path(target) as rows:  # the sidecar takes its place last
         rows.write_text(csv_text([*columns], zip(*(one.tolist() for one in numbers), strict=True)), encoding="utf-8")
         files = {"files": {target.name: checksum(rows)}}
-        record.write_text(json_text({"format": TABLE_FORMAT} | table.provenance | files), encoding="utf-8")
+        record.write_text(json_text(table.record | files), encoding="utf-8")
 
 
 def read_table(path: AnyPath) -> StrainTable:
@@ -188,21 +207,37 @@ def read_table(path: AnyPath) -> StrainTable:
         unique=np.where(np.isfinite(unique), unique, 1.0) > 0.5,
         status=status,
         quality=RowQuality(column("R"), column("min_gap_mm"), *whole),
-        provenance=_read_provenance(Path(path)),
         branch=np.array([text.strip() for text in columns["branch"]]) if "branch" in columns else None,
         **parts,
+        **_read_sidecar(Path(path)),
     )
 
 
-def _read_provenance(table: Path) -> dict[str, Any]:
-    """The sidecar as it is, {} if there is none; InputError for numbers of the rings out of their range, and for a
-    sidecar that is not of this table."""
+def _read_sidecar(table: Path) -> dict[str, Any]:
+    """The fields cell, options, joint and provenance by what the sidecar file says, {} if there is none; InputError for
+    numbers of the rings out of their range, and for a sidecar that is not of this table."""
     path = sidecar_path(table)
     if not path.exists():
         return {}
-    found = read_json_object(path)
-    check_rings(found, f"{path}:")
+    record = read_json_object(path)
+    options = _options_of_record(record)
+    of_options = record["options"] if isinstance(record.get("options"), dict) else {}
+    reference = {key: value for key, value in of_options.items() if key == "reference"}
+    where, is_told = f"{path}:", record.keys() >= REFERENCE
+    check_rings(record, where)
+    cell = read_cell_info(record | reference, where) if is_told else None
     remedy = "make the table again, or put the two files of one table side by side; if you have edited the table on "
-    if "files" in found:  # those of tables that were edited on purpose list none
-        check_belongs(table, path, found, f'{remedy}purpose, remove "files" from {path.name}')
-    return {key: value for key, value in found.items() if key != "files"}
+    if "files" in record:  # those of tables that were edited on purpose list none
+        check_belongs(table, path, record, f'{remedy}purpose, remove "files" from {path.name}')
+    joint = Joint.of(record["joint"], f"{path}: joint").name if "joint" in record else None
+    typed = {"format", "format_version", "files"} | ({"compliance", "joint"} if joint else set())
+    typed |= ({"options"} if options else set()) | ({*types_of(CellInfo), "density_kg_per_mm3"} if cell else set())
+    rest = {key: value for key, value in record.items() if key not in typed}
+    return {"cell": cell, "options": options, "joint": joint, "provenance": rest}
+
+
+def _options_of_record(record: dict[str, Any]) -> DirectOptions | None:
+    """The options of a sidecar; None where they are not those of this version."""
+    with suppress(InputError):
+        return read_typed(DirectOptions, record.get("options"), "options")
+    return None

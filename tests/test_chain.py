@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rve.geometry import WEAVES
+from rve import WEAVES
 from tests.commands import run
 
 SCENE = """

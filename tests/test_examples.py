@@ -8,9 +8,7 @@ import pytest
 from examples.curtain import Setting, run
 from examples.which_wire import run as run_wires
 from macro_fem import read_scene
-from rve import Material, with_rings
-from rve.geometry import Cell
-from rve.solve import solve_table
+from rve import Cell, Material, solve_table, with_rings
 from tests.test_macro_fem.sheets import sheet
 
 pytestmark = pytest.mark.slow

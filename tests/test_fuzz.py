@@ -15,17 +15,13 @@ import meshio
 import numpy as np
 import pytest
 
-from homogenize.io import DEFAULT_LAW, default_law, load_law
-from homogenize.laws.cloth import ClothLaw
-from homogenize.laws.net import ring_net
-from macro_fem import load_scene
-from macro_fem.rings.curtain import read_curtain
+from homogenize import ClothLaw, default_law, load_law, ring_net
+from homogenize.io import DEFAULT_LAW
+from macro_fem import load_scene, read_curtain
 from macro_fem.scene.meshing.mesh import build_mesh
+from rve import Cell, read_table, solve_table, write_table
 from rve.common import InputError, checksum, numbers_of
 from rve.directions import parse_angles, read_loads
-from rve.geometry import Cell
-from rve.solve import solve_table
-from rve.table import read_table, write_table
 from tests.squares import MSH, mesh_of, square, write_square
 
 QUICK, MANY, SECONDS = 40, 400, 10

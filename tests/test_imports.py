@@ -1,9 +1,10 @@
 """Imports cross at faces, run downwards file by file, and cost nothing that is not asked for.
 
-A face is the `__init__` of a package or sub-package that lists names for others.
+A face is the `__init__` of a package or sub-package that lists names for others. Roots are for users: few names.
 """
 
 import ast
+import re
 import subprocess
 import sys
 from functools import cache
@@ -15,6 +16,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 BELOW: dict[str, tuple[str, ...]] = {"rve": (), "homogenize": ("rve",), "macro_fem": ("rve", "homogenize")}
+ROOT_NAMES = {"rve": 20, "homogenize": 14}
+"""As many names as a root may have; more are for the face of a sub-package."""
 HEAVY = ("matplotlib", "pyvista", "vtk", "plotly", "clarabel", "meshio", "skfem", "pandas", "sksparse")
 
 
@@ -127,6 +130,33 @@ def test_every_public_name_is_there_and_typed(package):
     for name in names.__all__:
         assert getattr(names, name) is not None
     assert set(face(package)) == set(names.__all__)
+
+
+@pytest.mark.parametrize("package", ROOT_NAMES)
+def test_a_root_has_few_names_each_in_an_example_of_its_page(package):
+    names = import_module(package).__all__
+    page = (ROOT / "docs" / "reference" / "python.md").read_text()
+    examples = "".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL))
+    assert len(names) <= ROOT_NAMES[package]
+    assert not [name for name in names if not re.search(rf"\b{package}\.{name}\b", examples)]
+    assert all(f"| `{face}` |" in page for face in FACES if face.startswith(f"{package}."))
+
+
+@pytest.mark.parametrize("package", ROOT_NAMES)
+def test_a_name_that_left_a_root_tells_its_place(package):
+    """And is there."""
+    (moved,) = (
+        node for node in ast.walk(ast.parse((ROOT / package / "__init__.py").read_text())) if isinstance(node, ast.Dict)
+    )
+    for place, names in ast.literal_eval(moved).items():
+        for name in names.split():
+            with pytest.raises(
+                ImportError, match=f"^{package}.{name} is now {place}.{name}: write from {place} import"
+            ):
+                getattr(import_module(package), name)
+            assert getattr(import_module(place), name) is not None
+    with pytest.raises(ImportError, match=f"cannot import name 'nothing' from '{package}'"):
+        exec(f"from {package} import nothing")
 
 
 def test_imports_are_light():

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from homogenize.io import load_law
+from homogenize import load_law
 from tests.commands import run
 
 TITANIUM = 4506.0  # kg/m3

@@ -18,6 +18,8 @@ from scipy import sparse
 import homogenize
 import macro_fem
 import rve
+from rve.finite import FiniteOptions, HalfSpace, RoundBody, cell_of_sides, ring_places, slack_rings, step_rings
+from rve.placed import cell_forces, fit_rings, locked_arrangements, nearest_poses
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -99,12 +101,12 @@ def nouns(table, answer, tmp_path_factory):
     law.strength.utilisation(E)
     scene = macro_fem.Scene(macro_fem.Rectangle(66, 63), [macro_fem.Hooks(pitch=66)], macro_fem.Mesh(4))
     every = macro_fem.solve(scene, macro_fem.EveryRing(cell))
-    still, n = rve.slack_rings(every.found.mesh), len(every.found.centre)
-    at_rest = rve.ring_places(still), np.zeros((n, 3)), np.zeros((n, 3), bool), still.centre
-    drawn = [still.drawn, rve.step_rings(still, np.ones(2 * n), *at_rest)]
-    of_rings = [rve.DirectOptions(), rve.FiniteOptions(), rve.RoundBody((0.0, 0.0, -50.0), 5.0, 1.0, "ball")]
-    of_rings += [rve.support(cell, [0.5, 0.0, 0.5]), rve.pulled_ring(5.0, 0.5), rve.cell_forces(E[0] + 1.0, cell)]
-    of_rings += [rve.HalfSpace((0.0, 1.0, 0.0), -99.0), rve.locked_arrangements(cell), rve.nearest_poses(E, cell)]
+    still, n = slack_rings(every.found.mesh), len(every.found.centre)
+    at_rest = ring_places(still), np.zeros((n, 3)), np.zeros((n, 3), bool), still.centre
+    drawn = [still.drawn, step_rings(still, np.ones(2 * n), *at_rest)]
+    of_rings = [rve.DirectOptions(), FiniteOptions(), RoundBody((0.0, 0.0, -50.0), 5.0, 1.0, "ball")]
+    of_rings += [rve.support(cell, [0.5, 0.0, 0.5]), rve.pulled_ring(5.0, 0.5), cell_forces(E[0] + 1.0, cell)]
+    of_rings += [HalfSpace((0.0, 1.0, 0.0), -99.0), locked_arrangements(cell), nearest_poses(E, cell)]
     laws = [law, law.half_spaces(), law.cut(E), law.response(E), homogenize.ClothLaw(), homogenize.diagonal_net()]
     laws += [homogenize.FitOptions(), homogenize.read_law_interval(), homogenize.locked_strain(law, [20.0], [30.0])]
     at, kinds = [0.0, 0.0, 0.0], macro_fem
@@ -121,7 +123,7 @@ def nouns(table, answer, tmp_path_factory):
     scenes += [kinds.Wall([1, 0]), kinds.Sphere(at, 9), kinds.Cylinder([0, 0, 1], 9), kinds.Box(at, [9, 9, 9])]
     scenes += [kinds.Motion(1.0), kinds.Ball(9, 1, at), kinds.OnDemand(cell), kinds.EveryRing(cell)]
     size = macro_fem.largest_that_holds(scene, None, "pitch", (33.0, 66.0), 0.1)
-    ways = [homogenize.fit(table), rve.fit_rings(np.zeros((1, 3), int), np.zeros((1, 3)), np.eye(3)[2:], cell)]
+    ways = [homogenize.fit(table), fit_rings(np.zeros((1, 3), int), np.zeros((1, 3)), np.eye(3)[2:], cell)]
     answers = [table, answer, answer.rings(), every, size, macro_fem.read_curtain(out)]
     return records_in([of_rings, laws, scenes, drawn, ways, answers])
 
@@ -162,15 +164,15 @@ REFUSED = [
     (lambda: rve.Cell(weave="4in1"), "weave = '4in1': is not one of 4-in-1, 6-in-1; did you mean 4-in-1?"),
     (lambda: rve.named_material("titanium"), "did you mean titanium grade"),
     (lambda: rve.pulled_ring(5, 0.5, "steel"), "material = 'steel': expected Material"),
-    (lambda: rve.FiniteOptions(tolerance=float("nan")), "FiniteOptions: tolerance = nan: expected a number > 0.0"),
-    (lambda: rve.FiniteOptions(tolerance=0), "tolerance = 0: expected a number > 0.0"),
-    (lambda: rve.FiniteOptions(tolerance=-1e-8), "expected a number > 0.0"),
-    (lambda: rve.FiniteOptions(reach=float("inf")), "reach = inf: expected a number <= 1.0"),
-    (lambda: rve.FiniteOptions(max_iterations=2.5), "max_iterations = 2.5: expected a whole number, got a number"),
-    (lambda: rve.FiniteOptions(patience=0), "patience = 0: expected a whole number >= 1"),
-    (lambda: rve.FiniteOptions(starts=0), "starts = 0: expected a whole number >= 1"),
-    (lambda: rve.FiniteOptions(seed=-1), "seed = -1: expected a whole number >= 0"),
-    (lambda: rve.FiniteOptions(first=1e-9, last=1e-3), "last = 0.001: is more than first = 1e-09"),
+    (lambda: FiniteOptions(tolerance=float("nan")), "FiniteOptions: tolerance = nan: expected a number > 0.0"),
+    (lambda: FiniteOptions(tolerance=0), "tolerance = 0: expected a number > 0.0"),
+    (lambda: FiniteOptions(tolerance=-1e-8), "expected a number > 0.0"),
+    (lambda: FiniteOptions(reach=float("inf")), "reach = inf: expected a number <= 1.0"),
+    (lambda: FiniteOptions(max_iterations=2.5), "max_iterations = 2.5: expected a whole number, got a number"),
+    (lambda: FiniteOptions(patience=0), "patience = 0: expected a whole number >= 1"),
+    (lambda: FiniteOptions(starts=0), "starts = 0: expected a whole number >= 1"),
+    (lambda: FiniteOptions(seed=-1), "seed = -1: expected a whole number >= 0"),
+    (lambda: FiniteOptions(first=1e-9, last=1e-3), "last = 0.001: is more than first = 1e-09"),
     (lambda: rve.DirectOptions(tolerance="small"), "tolerance = 'small': expected a number, got a text"),
     (
         lambda: homogenize.fit("table.csv"),
@@ -179,7 +181,7 @@ REFUSED = [
     (lambda: rve.FiniteMesh.rectangle(None, 1, 1), "rectangle: cell = None: expected Cell"),
     (lambda: rve.FiniteMesh.inside(rve.Cell(), "square"), "outline = 'square': expected a list"),
     (lambda: PIECE.solve(PIECE.X, PIECE.X > 9, PIECE.X, options={"starts": 3}), "options = {'starts': 3}: expected"),
-    (lambda: rve.cell_of_sides(5.0, 0.5, 11.0), "sides = 11.0: expected a list of 2"),
+    (lambda: cell_of_sides(5.0, 0.5, 11.0), "sides = 11.0: expected a list of 2"),
     (lambda: homogenize.fit([1]), "expected StrainTable, got a list"),
     (lambda: homogenize.fit_table(None), "path = None: expected a text or a path"),
     (lambda: homogenize.FitOptions(kind="Net"), "did you mean net?"),

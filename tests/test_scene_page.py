@@ -10,7 +10,7 @@ import pytest
 
 import macro_fem
 import macro_fem.scene.scene  # whose import makes all kinds known
-from macro_fem.scene.moving import Ball
+from macro_fem import Ball
 from macro_fem.scene.obstacles import Obstacle
 from macro_fem.scene.shapes import Shape
 from macro_fem.scene.sites import Support

@@ -13,11 +13,9 @@ from scipy.spatial import cKDTree
 
 from benchmarks.measure import Row
 from homogenize import default_law
-from macro_fem import read_scene
-from macro_fem.job import solve
+from macro_fem import Scene, read_scene, solve
 from macro_fem.rings.ring_scene import ring_scene
-from macro_fem.scene.scene import Scene
-from rve import FiniteSolution
+from rve.finite import FiniteSolution
 
 Array = NDArray[np.float64]
 AREAL_MASS = 2.8

@@ -17,7 +17,8 @@ from benchmarks.every_ring.brute import Array, frames, least_gap, linked_pairs, 
 from benchmarks.every_ring.cases import GRAVITY
 from benchmarks.frame import Section, table
 from benchmarks.measure import Row
-from rve import Cell, FiniteMesh, FiniteSolution
+from rve import Cell, FiniteMesh
+from rve.finite import FiniteSolution
 
 BOX = 0.06
 """Largest change of any unknown in a round, lengths in r1."""

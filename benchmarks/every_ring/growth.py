@@ -11,8 +11,7 @@ from itertools import product
 from benchmarks.every_ring.cases import SHEETS
 from benchmarks.frame import Section, table
 from benchmarks.measure import ROOT, Row
-from macro_fem import load_scene
-from macro_fem.job import solve
+from macro_fem import load_scene, solve
 from macro_fem.rings.ring_scene import ring_scene
 
 METRE = 91

@@ -11,9 +11,8 @@ from benchmarks.frame import Section
 from benchmarks.measure import Row, least_seconds
 from benchmarks.omissions.compare import LEFT_OUT, USED, trial, trial_table, verdict
 from benchmarks.problems import square
-from homogenize.io import default_law
-from homogenize.laws.polyhedral import PolyhedralLaw
-from homogenize.laws.protocol import HalfSpaces, MembraneLaw
+from homogenize import MembraneLaw, default_law
+from homogenize.laws import HalfSpaces, PolyhedralLaw
 from macro_fem import read_scene
 from macro_fem.curtain import CurtainProblem, gathered_start, make_problem, solve_problem, stabilising_tension
 from macro_fem.fem.assembly import load_vector

@@ -10,10 +10,11 @@ from benchmarks.frame import Section, table
 from benchmarks.measure import Row, least_seconds
 from benchmarks.omissions.compare import trial, trial_table, verdict
 from benchmarks.problems import Array, loads
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
+from rve import Cell, DirectOptions
+from rve.equilibrium.interior_point import Equilibrium, solve_equilibrium, unit_loads
 from rve.equilibrium.limits import polish, touching
 from rve.equilibrium.system import Equations
-from rve.geometry import Cell, cauchy_line_load
+from rve.geometry import cauchy_line_load
 from rve.simulation import StewartTrinkleOptions, simulate
 
 LIGHT = 1e-6

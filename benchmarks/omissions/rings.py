@@ -10,9 +10,10 @@ from benchmarks.measure import Row, least_seconds
 from benchmarks.omissions.compare import LEFT_OUT, trial, trial_table, verdict
 from benchmarks.omissions.motion import TOLERANCE
 from benchmarks.problems import Array, loads
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
+from rve import Cell, DirectOptions
+from rve.equilibrium.interior_point import Equilibrium, solve_equilibrium
 from rve.equilibrium.system import REACH, Equations
-from rve.geometry import SIX_IN_ONE, Cell, cauchy_line_load, contacts, pair_geometry
+from rve.geometry import SIX_IN_ONE, cauchy_line_load, contacts, pair_geometry
 
 CELLS = {
     "4-in-1, r1/r2 = 4.2": Cell(5.0, 5.0 / 4.2),

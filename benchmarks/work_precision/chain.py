@@ -18,13 +18,9 @@ from benchmarks.measure import Row, decade, ladder, least_seconds, signed
 from benchmarks.problems import loads
 from benchmarks.work_precision.curtain import corner_height, reference_height
 from examples.curtain import SETTINGS, Setting, extrapolated
-from homogenize.fitting.fit import FitOptions, fit
-from homogenize.laws.protocol import MembraneLaw
+from homogenize import FitOptions, MembraneLaw, fit
+from rve import Cell, DirectOptions, StrainTable, solve_table
 from rve.common import InputError
-from rve.equilibrium.interior_point import DirectOptions
-from rve.geometry import Cell
-from rve.solve import solve_table
-from rve.table import StrainTable
 
 HEIGHT = 1000.0
 BASE_SPACING, FINE_SPACING = 5.0, 2.5
@@ -66,7 +62,7 @@ def contact_ladder() -> list[Row]:
 
     def judge(found: StrainTable, seconds: float) -> Row:
         try:
-            height = base_height(fit(found, FitOptions(normality=10.0 * found.provenance["options"]["mu_end"])).law)
+            height = base_height(fit(found, FitOptions(normality=10.0 * found.options.mu_end)).law)
         except InputError:
             return row_of(exact, math.nan, seconds)  # rows so inaccurate that they contradict each other are refused
         return row_of(exact, height, seconds)

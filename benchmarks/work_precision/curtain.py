@@ -16,15 +16,12 @@ import numpy as np
 from benchmarks.frame import Diagram, Section, Table, curves, table
 from benchmarks.measure import Row, least_seconds
 from benchmarks.problems import square
-from homogenize.io import default_law
-from homogenize.laws.net import diagonal_net
-from homogenize.laws.protocol import MembraneLaw
-from macro_fem import read_scene
+from homogenize import MembraneLaw, default_law, diagonal_net
+from macro_fem import Scene, read_scene
 from macro_fem.bounds.interval import CurtainBounds, admissible_problem, levels
 from macro_fem.curtain import solve_problem
 from macro_fem.job import solve_membrane
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.scene import Scene
 
 NET_MEAN_HEIGHT = 14.187635
 FLOOR = 1e-9

@@ -10,18 +10,12 @@ from scipy.interpolate import RegularGridInterpolator
 from benchmarks.frame import Diagram, Section, Table, curves, table
 from benchmarks.measure import Row, least_seconds
 from benchmarks.problems import loads
-from homogenize.fitting import refine
-from homogenize.fitting.bounds import bounds_of
-from homogenize.fitting.fit import FitOptions, fit
-from homogenize.fitting.rows import LockedRows, rows_from_table
+from homogenize import FitOptions, MembraneLaw, fit, locked_strain
+from homogenize.fitting import bounds_of, refine, rows_from_table
+from homogenize.laws import LockedRows
 from homogenize.laws.geometry import ProjectionError
-from homogenize.laws.protocol import MembraneLaw
-from homogenize.query.strain import locked_strain
+from rve import Cell, StrainTable, graded_grid, solve_table
 from rve.common.tensor import double_dot, trace
-from rve.directions import graded_grid
-from rve.geometry import Cell
-from rve.solve import solve_table
-from rve.table import StrainTable
 
 SEED = 2027
 """Of the held-out directions; the constants of the refined law were chosen on other ones."""

@@ -16,20 +16,20 @@ import numpy as np
 from benchmarks.frame import Diagram, Section, curves, table
 from benchmarks.measure import Row, decade, least_seconds
 from benchmarks.problems import loads, square
-from homogenize import CellInfo, LockedRows, MembraneLaw, law_interval
-from homogenize.fitting.fit import FitOptions, fit
-from macro_fem import read_scene
+from homogenize import FitOptions, MembraneLaw, fit
+from homogenize.fitting import law_interval
+from homogenize.laws import LockedRows
+from macro_fem import Scene, read_scene
 from macro_fem.bounds.interval import admissible_problem
 from macro_fem.curtain import CurtainSolution, solve_problem
 from macro_fem.demand.directions import first_directions, rounded
 from macro_fem.demand.loop import solve_on_demand
 from macro_fem.demand.rings import Rings
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.scene import Scene
-from rve import Cell, solve_table, support
+from rve import Cell, graded_grid, solve_table, support
 from rve.common import Array
 from rve.common.tensor import disc, from_disc, trace
-from rve.directions import graded_grid
+from rve.geometry import CellInfo
 
 HEIGHT = 1000.0
 ERROR, SOLVES, SECONDS = "error of the mean height / height", "ring problems", "s"

@@ -1,1 +1,6 @@
-"""A law for other programs: source of a user material."""
+"""Laws in the languages of other programs."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""The names for other packages, listed in `__init__.pyi`: their modules are imported when they are first used."""

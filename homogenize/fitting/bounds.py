@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homogenize.fitting.rows import LockedRows, with_mirror
 from homogenize.laws.geometry import fibres, highest, outer_vertices
 from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_law
-from homogenize.laws.protocol import CellInfo
+from homogenize.laws.rows import LockedRows, with_mirror
 from rve.common import Array, Index
 from rve.common.tensor import WEIGHT, disc, double_dot, eigenvalues, from_disc, trace
+from rve.geometry import CellInfo
 
 RIM = 720
 """Loads of rank one of the inner law."""

@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Meta
 
 from homogenize.fitting.bounds import SupportBounds, bounds_of
-from homogenize.fitting.rows import ROUNDING, LockedRows, with_mirror
+from homogenize.laws.rows import ROUNDING, LockedRows, with_mirror
 from rve.common import Array, Flags, Index
 from rve.common.tensor import disc, double_dot, from_disc, mirror
 

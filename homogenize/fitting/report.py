@@ -6,9 +6,10 @@ import numpy as np
 
 from homogenize.directions import folds_of
 from homogenize.fitting.bounds import bounds_of
-from homogenize.fitting.rows import LockedRows, Normality
+from homogenize.fitting.rows import Normality
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.report import ErrorReport, Misfit
+from homogenize.laws.rows import LockedRows
 from rve.common import Array, InputError, tell
 from rve.common.tensor import from_disc
 

@@ -1,47 +1,20 @@
-"""From table rows to Hermite data of the support function, tested before anything is fitted to them.
-
-Each converged row is a value and a gradient at once: S_i of unit trace, h_i = S_i:E_i and E_i = dh/dS. Where the strain
-is not unique only the value counts. Where the weave is its own mirror image, the image of a row is a row as well.
-"""
+"""From a table to the rows of a law, tested before anything is fitted to them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from msgspec import Meta
 
-from rve.common import Array, Flags, Index, InputError, Rows, Typed, read_typed
-from rve.common.tensor import IDENTITY, WEIGHT, double_dot, eigenvalues, mirror, trace
+from homogenize.laws.rows import ROUNDING, LockedRows, with_mirror
+from rve.common import InputError
+from rve.common.tensor import WEIGHT, double_dot, eigenvalues, trace
 
 if TYPE_CHECKING:
     from rve import StrainTable
 
 NORMALITY_TOLERANCE = 1e-8
-ROUNDING = 1e-9
-Component = Annotated[float, Meta(ge=-1e3, le=1e3)]
-Triples = Annotated[tuple[tuple[Component, Component, Component], ...], Meta(min_length=1, max_length=1_000_000)]
-
-
-@dataclass(frozen=True, eq=False)
-class LockedRows(Rows):
-    """Sampled boundary of K+: S (n, 3) of unit trace, E (n, 3), h (n,) = S:E, `unique` (n,), row number `source` (n,).
-
-    `dropped` says in words which rows of the table were left out and why; `is_mirrored` whether the weave is its own
-    mirror image, so that every row stands for two.
-    """
-
-    S: Array
-    E: Array
-    h: Array
-    unique: Flags
-    source: Index
-    dropped: tuple[str, ...] = ()
-    is_mirrored: bool = True
-
-    def __len__(self) -> int:
-        return len(self.h)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,55 +69,6 @@ def rows_from_table(table: StrainTable) -> LockedRows:
     dropped += [f"row {keep[i]}: repeats row {keep[j]}" for i, j in enumerate(earlier) if i != j]
     S, E, keep = S[first], E[first], keep[first]
     return LockedRows(S, E, double_dot(S, E), table.unique[keep], keep, tuple(dropped), table.is_mirrored)
-
-
-def with_mirror(rows: LockedRows) -> LockedRows:
-    """The rows and their images under S12 -> -S12, E12 -> -E12, each once; the rows alone if the weave is chiral."""
-    if not rows.is_mirrored:
-        return rows
-    other = (np.abs(rows.S[:, 1]) > ROUNDING) | (np.abs(rows.E[:, 1]) > ROUNDING)
-    image = rows.take(other)
-    return rows.join([replace(image, S=mirror(image.S), E=mirror(image.E))])
-
-
-def rows_to_dict(rows: LockedRows) -> dict[str, Any]:
-    """Loads, strains and flags of the rows as plain lists for a file, and whether the weave is its own mirror image."""
-    return {name: getattr(rows, name).tolist() for name in ("S", "E", "unique")} | {"is_mirrored": rows.is_mirrored}
-
-
-@dataclass(frozen=True)
-class RowEntries(Typed):
-    """What a law file holds of the rows: tensile loads S of unit trace, strains E of real cells, flags."""
-
-    S: Triples
-    E: Triples
-    unique: tuple[bool, ...]
-    is_mirrored: bool = True
-
-    def check(self) -> None:
-        lengths = len(self.S), len(self.E), len(self.unique)
-        if not lengths[0] == lengths[1] == lengths[2]:
-            self.refuse(f"S, E, unique: differ in length, {lengths}")
-        S, E = np.array(self.S), np.array(self.E)
-        good = (np.abs(trace(S) - 1.0) < ROUNDING) & (eigenvalues(S)[0] >= -ROUNDING)
-        good &= eigenvalues(2.0 * E + IDENTITY)[0] > 0.0
-        if not good.all():
-            i = int(np.argmin(good))
-            pair = f"S = {S[i].tolist()}, E = {E[i].tolist()}"
-            self.refuse(f"row {i}: {pair} is no tensile load of unit trace on a cell with I + 2E positive definite")
-
-
-def rows_from_provenance(provenance: dict[str, Any], source: str) -> LockedRows | None:
-    """The rows in the provenance of a law, as `rows_to_dict` wrote them; None if it holds none.
-
-    InputError, which names the file `source`, for rows that no fit writes.
-    """
-    if "table_rows" not in provenance:
-        return None
-    found = read_typed(RowEntries, provenance["table_rows"], f"{source}: provenance table_rows:")
-    S, E = np.array(found.S), np.array(found.E)
-    unique, number = np.array(found.unique), np.arange(len(S))
-    return LockedRows(S, E, double_dot(S, E), unique, number, is_mirrored=found.is_mirrored)
 
 
 def normality(rows: LockedRows, tolerance: float = NORMALITY_TOLERANCE) -> Normality:

@@ -1,1 +1,6 @@
-"""Membrane laws, one per file, and what they are made of: vertices, projection."""
+"""The laws: what each admits, its half-spaces, its stiffness; what it carries and its file."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""The names for other packages, listed in `__init__.pyi`: their modules are imported when they are first used."""

@@ -16,7 +16,7 @@ whose half-spaces at most four are active.
 
 import numpy as np
 
-from homogenize.strength import Strength
+from homogenize.laws.strength import Strength
 from rve.common import Array, InputError
 from rve.common.tensor import WEIGHT, double_dot
 

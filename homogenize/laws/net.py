@@ -14,11 +14,12 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
-from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, MembraneLaw, Response, check_finite
+from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, Response, check_finite
 from homogenize.laws.stored import StoredLaw
 from rve.common import Array, Typed, checked, read_typed
 from rve.common.cell_fields import STEEL_KG_PER_MM3, areal_mass
 from rve.common.tensor import IDENTITY, WEIGHT, disc, double_dot, dyad, from_disc, trace
+from rve.geometry import CellInfo
 
 ROUNDING = 1e-6
 """Of the length of a direction in a file, and the least sine between two."""

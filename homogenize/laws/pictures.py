@@ -5,7 +5,7 @@ from typing import Any, cast
 import numpy as np
 
 from homogenize.laws.protocol import MembraneLaw
-from homogenize.strength import MAKE_AGAIN, Strength
+from homogenize.laws.strength import MAKE_AGAIN, Strength
 from rve.common import Array, InputError
 from rve.common.drawing.plane import BLUE, VERMILION, new_axes, new_figure, viridis
 from rve.common.optional import Axes

@@ -17,10 +17,11 @@ from scipy.spatial import cKDTree
 from homogenize.laws.geometry import Polyhedron, fibres, highest, outer_vertices, polyhedron_of, respond
 from homogenize.laws.giving import split_compliance, work_along
 from homogenize.laws.net import LEAST_STIFFNESS, MOST_STIFFNESS, STATED_STIFFNESS
-from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, MembraneLaw, Response, check_finite
+from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, Response, check_finite
 from homogenize.laws.stored import StoredLaw
 from rve.common import Array, InputError, Typed, read_typed
 from rve.common.tensor import WEIGHT, disc, eigenvalues, trace
+from rve.geometry import CellInfo
 
 LEVELS = 13
 """Levels of tau between which support functions are interpolated."""
@@ -98,9 +99,7 @@ class PolyhedralLaw(StoredLaw, kind="polyhedral"):
             raise InputError(f"{where} {error}") from error
 
     def softer(self, factor: float) -> PolyhedralLaw:
-        unsaid = "stated" if np.array_equal(self.stiffness, STATED_STIFFNESS * np.eye(3)) else ""
-        is_stated = str(self.provenance.get("stiffness", unsaid)).startswith("stated")
-        return self if is_stated else replace(self, stiffness=self.stiffness / factor)
+        return replace(self, stiffness=self.stiffness / factor) if self.stiffness_is_measured else self
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -162,6 +161,8 @@ def giving_law(law: PolyhedralLaw) -> GivingLaw | None:
 def polyhedral_law(S: Array, h: Array, stiffness: Array | None = None, cell: CellInfo | None = None) -> PolyhedralLaw:
     """The law of half-spaces S (m, 3) positive semidefinite, h (m,); InputError if they are not tensile or contradict.
 
+    stiffness (3, 3) in N/mm: that of the rings, by default a stated one.
+
     >>> law = polyhedral_law(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([0.5, 0.2]))
     >>> law.support(np.array([[0.5, 0.0, 0.5]])).round(9)
     array([0.35])
@@ -174,8 +175,8 @@ def polyhedral_law(S: Array, h: Array, stiffness: Array | None = None, cell: Cel
     if len(bad):
         raise InputError(f"S: half-space {bad[0]}, S = {S[bad[0]].tolist()}, is not tensile")
     S, h = S / size[:, None], h / size
-    stiffness = STATED_STIFFNESS * np.eye(3) if stiffness is None else np.asarray(stiffness, float)
-    return PolyhedralLaw(S, h, outer_vertices(S, h), stiffness, cell=cell)
+    C = STATED_STIFFNESS * np.eye(3) if stiffness is None else np.asarray(stiffness, float)
+    return PolyhedralLaw(S, h, outer_vertices(S, h), C, cell=cell, stiffness_is_measured=stiffness is not None)
 
 
 def stiffness_matrix(given: Matrix) -> Array:

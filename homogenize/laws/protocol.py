@@ -11,11 +11,8 @@ from typing import Protocol
 
 import numpy as np
 
-from rve.common import Array, ByValue, InputError, Rows, Typed, checked
-from rve.common.cell_fields import ArealMass, Length
-
-SAME_RINGS = 1e-6
-"""Relative difference of radii and reference cells that are count as the same."""
+from rve.common import Array, ByValue, InputError, Rows, checked
+from rve.geometry import CellInfo
 
 
 def check_finite(values: Array, what: str = "strains") -> None:
@@ -23,42 +20,6 @@ def check_finite(values: Array, what: str = "strains") -> None:
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(bad):
         raise InputError(f"{what} are finite numbers, row {bad[0]} of {len(values)} is {values[bad[0]].tolist()}")
-
-
-@dataclass(frozen=True)
-class CellInfo(Typed):
-    """The rings behind a law: what a scene needs to know of them, in mm and kg/m2.
-
-    b_x_mm, b_y_mm: sides of the reference cell, one primitive cell.
-    """
-
-    r1_mm: Length
-    r2_mm: Length
-    b_x_mm: Length
-    b_y_mm: Length
-    areal_mass_kg_per_m2: ArealMass
-
-    def check_same(self, other: CellInfo, where: str, name: str) -> None:
-        """InputError if `other` are rings of another shape, of any size; `where` names them, `name` these rings."""
-        shapes = [np.array([cell.r2_mm, cell.b_x_mm, cell.b_y_mm]) / cell.r1_mm for cell in (other, self)]
-        if np.abs(np.subtract(*shapes)).max() > SAME_RINGS:
-            given, own = (", ".join(f"{x:.6g}" for x in shape) for shape in shapes)
-            weaves = other.weave(), self.weave()
-            if all(weaves) and weaves[0] != weaves[1]:
-                raise InputError(
-                    f"{where}: has the weave {weaves[0]}, {name} the weave {weaves[1]}; give both the same one"
-                )
-            raise InputError(f"{where}: r2, b_x and b_y over r1 are {given}, those of {name} are {own}")
-
-    def weave(self) -> str:
-        """The name of the weave and its grain, by the sides of the reference cell; "" if no weave has them."""
-        from rve import cell_of_sides  # which brings the solver of every ring
-
-        try:
-            cell = cell_of_sides(self.r1_mm, self.r2_mm, (self.b_x_mm, self.b_y_mm))
-        except InputError:
-            return ""
-        return f"{cell.weave.name} with grain {cell.grain}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,11 +6,13 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from homogenize.laws.protocol import CellInfo, MembraneLaw
+from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.report import ErrorReport
-from homogenize.strength import Strength
-from rve.common import checked, json_text, read_typed, write_text
+from homogenize.laws.rows import LockedRows
+from homogenize.laws.strength import Strength
+from rve.common import checked, json_text, write_text
 from rve.common.optional import Axes
+from rve.geometry import CellInfo
 
 SCHEMA = 1
 UNITS = {"strain": "1", "line_load": "N/mm", "stiffness": "N/mm", "length": "mm"}
@@ -20,8 +22,10 @@ UNITS = {"strain": "1", "line_load": "N/mm", "stiffness": "N/mm", "length": "mm"
 class StoredLaw(MembraneLaw):
     """Base of the laws that have a file: `class ClothLaw(StoredLaw, kind="cloth")` registers the kind of their files.
 
-    cell: the rings behind the law. provenance: where it comes from (table, options, error report). strength: that of
-    the rings (`homogenize.strength`), None if the table of the law has none.
+    cell: the rings behind the law. rows: what it was fitted to. report: how wrong it can be; both None for a law that
+    was not fitted. strength: that of the rings (`homogenize.laws.strength`), None if the table of the law has none.
+    stiffness_is_measured: whether the stiffness is that of the rings, by their table, or else a stated number.
+    provenance: what else its file tells of its origin.
     """
 
     kinds: ClassVar[dict[str, type[StoredLaw]]] = {}
@@ -29,6 +33,9 @@ class StoredLaw(MembraneLaw):
     cell: CellInfo | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
     strength: Strength | None = None
+    rows: LockedRows | None = None
+    report: ErrorReport | None = None
+    stiffness_is_measured: bool = False
 
     def __init_subclass__(cls, kind: str | None = None) -> None:
         """Register the kind of law for `homogenize.load_law`; without a kind it is that of the base."""
@@ -48,12 +55,6 @@ class StoredLaw(MembraneLaw):
     @property
     def name(self) -> str:
         return self.kind
-
-    @property
-    def report(self) -> ErrorReport | None:
-        """How wrong the law can be; None for a law that was not fitted. InputError if its file holds no such report."""
-        report = self.provenance.get("report")
-        return None if report is None else read_typed(ErrorReport, report, "the law's report:")
 
     def elastic(self) -> MembraneLaw:
         """The law itself, whose compliance is constant."""
@@ -81,7 +82,7 @@ class StoredLaw(MembraneLaw):
         return plot_strength(self, self.strength, yield_N_per_mm2, axes)
 
     def __str__(self) -> str:
-        kind = self.provenance.get("kind", self.name)
+        kind = self.name if self.report is None else self.report.kind
         rings = "" if self.cell is None else f", r1 = {self.cell.r1_mm:g} mm, r2 = {self.cell.r2_mm:g} mm"
         return f"{type(self).__name__}: {kind}{rings}"
 
@@ -90,12 +91,21 @@ class StoredLaw(MembraneLaw):
 
 def law_record(law: StoredLaw) -> dict[str, Any]:
     """What the file of a law holds."""
+    rows = {} if law.rows is None else {"table_rows": law.rows.to_dict()}
+    report = {} if law.report is None else {"report": asdict(law.report)}
     return {
         "schema": SCHEMA,
         "kind": law.name,
         "units": UNITS,
         "cell": None if law.cell is None else asdict(law.cell),
         "parameters": law.to_dict(),
+        "stiffness_is_measured": law.stiffness_is_measured,
         **({} if law.strength is None else {"strength": law.strength.to_dict()}),
-        "provenance": law.provenance,
+        "provenance": law.provenance | rows | report,
     }
+
+
+@checked
+def strength_of_law(law: MembraneLaw) -> Strength | None:
+    """The strength of the rings behind `law`; None if it has none, as laws without a file and those of old tables."""
+    return law.strength if isinstance(law, StoredLaw) else None

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from homogenize.directions import beyond, hull_of, limits_of
-from homogenize.fitting.rows import LockedRows, rows_from_provenance, with_mirror
 from homogenize.io import load_law
+from homogenize.laws.rows import LockedRows, with_mirror
+from homogenize.laws.strength import MAKE_AGAIN
 from homogenize.query.strain import locked_strain
-from homogenize.strength import MAKE_AGAIN
 from rve.common import Array, InputError
 from rve.common.tensor import double_dot, eigenvalues, trace
 from rve.geometry import cauchy_of
@@ -30,8 +30,7 @@ def strain_answer(path: str | Path, alpha_deg: float, beta_deg: float) -> dict[s
     told = f"--alpha {alpha_deg} --beta {beta_deg}"
     if not (np.isfinite(alpha_deg) and 0.0 <= beta_deg <= 90.0):
         raise InputError(f"{told}: angles are finite, and beta is from 0 to 90 degrees, as rings cannot push")
-    rows = rows_from_provenance(law.provenance, str(path))
-    found = locked_strain(law, np.array([alpha_deg]), np.array([beta_deg]), rows)
+    found = locked_strain(law, np.array([alpha_deg]), np.array([beta_deg]), law.rows)
     if found.status[0] != "converged":
         raise InputError(
             f"{path}: no strain of this law carries {told}: the direction is missed by {found.residual[0]:.1e}; "
@@ -47,7 +46,7 @@ def strain_answer(path: str | Path, alpha_deg: float, beta_deg: float) -> dict[s
         **components("S{}", S),
         "h": float(double_dot(S, E)),
         "unique": bool(found.unique[0]),
-        "extrapolated": extrapolates(rows, S),
+        "extrapolated": extrapolates(law.rows, S),
     }
 
 
@@ -59,8 +58,7 @@ def components(key: str, values: Array) -> dict[str, float]:
 def support_answer(path: str | Path, S: Array) -> dict[str, Any]:
     """h of the law at the load S (3,); InputError if S is not tensile."""
     law, size = load_law(path), check_tensile(S)
-    rows = rows_from_provenance(law.provenance, str(path))
-    return {"h": float(law.support(S[None])[0]), "extrapolated": extrapolates(rows, S / size)}
+    return {"h": float(law.support(S[None])[0]), "extrapolated": extrapolates(law.rows, S / size)}
 
 
 def strength_answer(path: str | Path, S: Array, yield_N_per_mm2: float | None = None) -> dict[str, Any]:

@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from homogenize.fitting.rows import LockedRows, normality, with_mirror
+from homogenize.fitting.rows import normality
 from homogenize.laws.protocol import MembraneLaw
+from homogenize.laws.rows import LockedRows, with_mirror
 from homogenize.query.strain_bounds import strain_bounds
 from rve.common import Array, InputError, Rows, checked, part_of, tell
 from rve.common.tensor import IDENTITY, WEIGHT, disc, from_disc, trace

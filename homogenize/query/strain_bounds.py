@@ -17,7 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homogenize.fitting.rows import LockedRows, normality, with_mirror
+from homogenize.fitting.rows import normality
+from homogenize.laws.rows import LockedRows, with_mirror
 from rve.common import Array, Rows
 from rve.common.tensor import IDENTITY, WEIGHT, double_dot, trace
 from rve.geometry import deformation_gradient, second_pk

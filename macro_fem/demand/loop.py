@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from homogenize import LawInterval, LockedRows, MembraneLaw, Strength, strength_of_table
+from homogenize import LawInterval, MembraneLaw
+from homogenize.laws import LockedRows, Strength, strength_of_table
 from macro_fem.bounds.interval import CurtainBounds, Loads, admissible_problem, bound, loads_of, mark, with_cones_of
 from macro_fem.curtain import CurtainSolution, solve_problem
 from macro_fem.demand.directions import between, first_directions, rounded, widest
@@ -24,11 +25,10 @@ from macro_fem.demand.rings import ACCURACY, GAIN, Rings
 from macro_fem.output.strength import critical_load
 from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.scene import Scene
-from rve import solve_table
+from rve import Cell, solve_table, with_rings
 from rve.common import Array, part_of, tell
 from rve.common.tensor import disc, trace
-from rve.geometry import Cell, cauchy_of, load_angles
-from rve.wire import with_rings
+from rve.geometry import cauchy_of, load_angles
 
 LAW_SHARE, AGAIN = 0.15, 2.0
 """The law may widen the interval by this part of what is asked, or of what the mesh does now: more saves ring solves

@@ -14,9 +14,11 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
-from homogenize import CellInfo, LawInterval, LockedRows, cell_of, interval_of_table, law_interval, read_law_interval
+from homogenize import LawInterval, read_law_interval
+from homogenize.fitting import interval_of_table, law_interval
+from homogenize.laws import LockedRows
 from macro_fem.demand.directions import rounded
-from rve import solve_table, support
+from rve import Cell, reference_cell, support
 from rve.common import (
     NO_CACHE,
     Array,
@@ -32,7 +34,7 @@ from rve.common import (
 from rve.common.arguments import check_fields
 from rve.common.cell_fields import check_ring_size
 from rve.common.tensor import WEIGHT, disc, from_disc, mirror
-from rve.geometry import Cell
+from rve.geometry import CellInfo
 
 Beside = tuple[tuple[float, float], ...]
 """Directions that a direction was solved with, whose locked states were starts."""
@@ -133,7 +135,7 @@ class Rings:
     @cached_property
     def info(self) -> CellInfo:
         """Radii, reference cell and areal mass; NotConverged if the reference cell is not found."""
-        return cell_of(solve_table(self.cell, ([0.0], [90.0])))
+        return reference_cell(self.cell)
 
     @cached_property
     def law(self) -> LawInterval:

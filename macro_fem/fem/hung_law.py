@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from homogenize import Cut, HalfSpaces, MembraneLaw, Response, elastic_law
+from homogenize import MembraneLaw, elastic_law
+from homogenize.laws import Cut, HalfSpaces, Response
 from rve.common import Array
 from rve.common.tensor import dyad
 

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from homogenize import MembraneLaw, strength_of_law
+from homogenize import MembraneLaw
+from homogenize.laws import strength_of_law
 from macro_fem.answer import RECORD, read_job
 from macro_fem.motion.curtain import MovingCurtain
 from macro_fem.motion.pace import COLUMNS, Frame, Mover, Run

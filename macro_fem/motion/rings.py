@@ -1,7 +1,7 @@
-"""Every ring in motion: steps by `rve.step_rings`, with the differences, account and pace of a curtain.
+"""Every ring in motion: steps by `rve.finite.step_rings`, with the differences, account and pace of a curtain.
 
-Places x (2 n + b, 3) of a moment are those of `rve.ring_places`: n centres, n points of the same masses on the axes, b
-centres of balls.
+Places x (2 n + b, 3) of a moment are those of `rve.finite.ring_places`: n centres, n points of the same masses on the
+axes, b centres of balls.
 """
 
 import math

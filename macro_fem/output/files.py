@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from homogenize import CellInfo
 from macro_fem.bounds.interval import CurtainBounds
 from macro_fem.curtain import CurtainProblem, CurtainSolution, forces_by, forces_note, wind_summary
 from macro_fem.fem.cells import counterclockwise, padded
@@ -17,6 +16,7 @@ from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.tables import Bar, LiveLoad
 from rve.common import Array, versions
 from rve.common.factor import linear_solver
+from rve.geometry import CellInfo
 
 
 def summarize(solution: CurtainSolution) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "linear_solver": linear_solver(),
         "law": problem.law.name,
         "hang_deg": problem.scene.curtain.weave_angle,
-        "rings": rings(problem.law.cell),
+        **rings(problem.law.cell),
         **wind_summary(solution),
         "areal_mass_kg_per_m2": per_area,
         "mass_kg": per_area * PER_MM2 * float(area.sum()),
@@ -79,9 +79,12 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
     }
 
 
-def rings(cell: CellInfo | None) -> dict[str, float] | None:
-    """Radii and reference cell of the law, without its areal mass, which a scene may replace."""
-    return None if cell is None else {key: value for key, value in asdict(cell).items() if key.endswith("_mm")}
+def rings(cell: CellInfo | None) -> dict[str, Any]:
+    """Radii, weave and reference cell of the law, without areal mass and material, which a scene may replace."""
+    if cell is None:
+        return dict.fromkeys(("rings", "weave", "grain", "reference_cell"))
+    sizes = {key: value for key, value in asdict(cell).items() if key.endswith("_mm")}
+    return {"rings": sizes, "weave": cell.weave, "grain": cell.grain, "reference_cell": cell.reference}
 
 
 def is_mean_height(problem: CurtainProblem) -> bool:

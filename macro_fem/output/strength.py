@@ -21,16 +21,17 @@ from typing import Any
 import numpy as np
 import shapely
 
-from homogenize import CellInfo, Strength, strength_of_law
+from homogenize.laws import Strength, strength_of_law
 from macro_fem.curtain import CurtainSolution
 from macro_fem.fem.hung_law import HungLaw, largest_stretch
 from macro_fem.output.forces import TOUCHES, PointForce, first_of_largest, point_forces, pushes_of, spot_loads
 from macro_fem.output.line_load import FINE, Extreme, Nearby
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import Bar, EdgeLoad
+from rve import pulled_ring
 from rve.common import Array, InputError, digits
 from rve.common.tensor import dyad, eigenvalues
-from rve.wire import pulled_ring
+from rve.geometry import CellInfo
 
 EVEN = 1.05
 """Pointwise utilisations this many times the average over `WIDER` mesh cells at the place vary over these cells."""

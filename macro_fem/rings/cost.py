@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from homogenize import CellInfo
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile
 from rve.common import digits
 from rve.common.factor import linear_solver
+from rve.geometry import CellInfo
 
 RINGS_PER_CELL = 2
 GROWTH = {"superlu": (2.2e-5, 35.0, 2.1), "cholmod": (6.5e-6, 30.0, 1.75)}

@@ -7,7 +7,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta
@@ -16,12 +16,11 @@ from macro_fem.fem.cells import recovered, signed_areas
 from macro_fem.scene.meshing.mesh_files import read_mesh_file
 from rve.common import Array, Index, InputError, Rows, Typed, check_belongs, read_json_object, read_typed, types_of
 from rve.common.arguments import checked
-from rve.common.cell_fields import check_rings
-from rve.common.materials import STEEL, Material
+from rve.common.materials import Material
 from rve.common.records import ByValue
 from rve.common.texts import read_as
 from rve.finite import cell_of_sides
-from rve.geometry import Cell
+from rve.geometry import CellInfo, read_cell_info
 
 SIDES = ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm")
 
@@ -34,6 +33,9 @@ class Told(Typed):
     hang_deg: Annotated[float, Meta(ge=-360.0, le=360.0)]
     rings: dict[str, Any] | None
     material: Material | None = None
+    weave: str | None = None
+    grain: Literal["y", "x"] = "y"
+    reference_cell: Literal["side-by-side", "locked"] = "side-by-side"
     status: str = "unknown"
     support_forces: tuple[dict[str, Any], ...] = ()
 
@@ -47,20 +49,24 @@ class Told(Typed):
         ]
         return max(told, key=lambda one: float(one["force_N"]), default=None)
 
-    def cell(self, source: str) -> Cell:
-        """Rings, weave and grain, by the sides of the reference cell; InputError, which begins with `source`, where
-        the summary does not tell them or no weave has such a cell."""
+    def info(self, source: str) -> CellInfo:
+        """The rings and their reference cell; InputError, which begins with `source`, where the summary does not tell
+        them. Summaries before version 0.3 name no weave: it is that of the sides of the reference cell."""
         rings = self.rings or {}
         if missing := [key for key in SIDES if rings.get(key) is None]:
             raise InputError(
                 f"{source}: does not tell {', '.join(missing)} of the rings; solve the curtain with a law that was "
                 "fitted to a table of rings"
             )
-        r1, r2, b_x, b_y = (check_rings(rings, f"{source}: rings")[key] for key in SIDES)
+        told = rings | {"weave": self.weave, "grain": self.grain, "reference": self.reference_cell}
+        info = replace(read_cell_info(told, f"{source}: rings"), material=self.material)
+        if self.weave is not None:
+            return info
         try:
-            return replace(cell_of_sides(r1, r2, (b_x, b_y)), material=self.material or STEEL)
+            cell = cell_of_sides(info.r1_mm, info.r2_mm, info.sides_mm)
         except InputError as error:
-            raise InputError(f"{source}: rings: {error}; give a law of rings side by side") from error
+            raise InputError(f"{source}: rings: {error}; run the curtain again") from error
+        return replace(info, weave=cell.weave.name, grain=cell.grain)
 
 
 def read_told(summary: dict[str, Any], source: str) -> Told:

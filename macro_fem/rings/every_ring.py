@@ -16,11 +16,11 @@ from macro_fem.output.page import write_page
 from macro_fem.output.pictures import Drawings, Pictures
 from macro_fem.output.told import components
 from macro_fem.rings.ring_scene import RingScene
+from rve import Cell
 from rve.common import Array, InputError, check_fields, versions
 from rve.common.drawing.plane import new_axes, save_figure
 from rve.common.optional import Axes
 from rve.finite import FiniteSolution
-from rve.geometry import Cell
 
 ACROSS = 3
 """Line loads are averaged over squares of this many reference cells along each side."""
@@ -102,8 +102,7 @@ class EveryRingSolution(Solution):
                 for wall, force in zip(solution.walls, solution.wall_force, strict=True)
             ],
             "hang_deg": rings.scene.curtain.weave_angle,
-            "rings": rings_of(rings.info),
-            "weave": rings.mesh.cell.weave.name,
+            **rings_of(rings.info),
             "iterations": solution.iterations,
             "wall_s": round(solution.wall_s, 3),
             "versions": versions("scikit-fem", "scikit-sparse"),

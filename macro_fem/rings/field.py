@@ -14,12 +14,11 @@ from macro_fem.output.images import save_picture
 from macro_fem.output.page import write_page
 from macro_fem.output.pictures import Drawings, Pictures, draw_all
 from macro_fem.rings.curtain import Curtain, Sites
-from rve import DrawnRings
+from rve import Cell
 from rve.common import Array, Index, checked, csv_text, digits, job, versions, write_text
 from rve.common.drawing.space import THREE_QUARTERS, add, add_length, below, lines, look, new_plotter
 from rve.common.optional import Axes, Plotter
-from rve.geometry import Cell
-from rve.placed import NEAR, POSE_MEANINGS, CellForces, Fit, NearestPoses
+from rve.placed import NEAR, POSE_MEANINGS, CellForces, DrawnRings, Fit, NearestPoses
 
 RECORD = "localize.json"
 """The file that stands for the job; it lists the others by their checksums."""
@@ -73,7 +72,7 @@ class RingField:
 
     @property
     def status(self) -> NDArray[np.str_]:
-        """How the pose of each ring relates to the strain of the curtain there, (n,): a key of `rve.POSE_MEANINGS`."""
+        """How the pose of each ring relates to the strain there, (n,): a key of `rve.placed.POSE_MEANINGS`."""
         return self.states.status[self.row]
 
     @cached_property

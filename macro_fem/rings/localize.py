@@ -22,6 +22,18 @@ from macro_fem.rings.curtain import Curtain, Sites, curtain_file, read_curtain
 from macro_fem.rings.field import RECORD, RingField, WorstCell
 from rve.common import Array, Index, InputError, check_out_job, checked, read_entry, tell
 from rve.common.tensor import WEIGHT, double_dot
+from rve.geometry import cauchy_of, deformation_gradient
+from rve.placed import (
+    NearestPoses,
+    axes_of_weave,
+    cell_forces,
+    fit_rings,
+    largest_forces,
+    locked_arrangements,
+    nearest_poses,
+    offsets,
+    reference_shares,
+)
 
 NARROW = 1e-3
 """A triangle drawn together to less than this part of its length takes its normal from its neighbours."""
@@ -44,9 +56,10 @@ def localize(
     if window is not None and not (np.isfinite(window).all() and window[0] < window[2] and window[1] < window[3]):
         raise InputError(f"window = {window}: must be x0, y0, x1, y1 in mm with x0 < x1 and y0 < y1")
     curtain = curtain if isinstance(curtain, Curtain) else read_curtain(curtain)
-    cell = curtain.told.cell(curtain.source)
-    locked = rve.locked_arrangements(cell)
-    axes = rve.axes_of_weave(cell, curtain.told.hang_deg)
+    info = curtain.told.info(curtain.source)
+    cell = info.cell()
+    locked = locked_arrangements(cell, sides_mm=info.sides_mm)
+    axes = axes_of_weave(cell, curtain.told.hang_deg)
     tell("rings in their cells")
     sites = find_sites(curtain, cell, locked.sides, axes, window)
     if not len(sites.X):
@@ -58,19 +71,19 @@ def localize(
 
     used, row = np.unique(sites.triangle, return_inverse=True)
     S = in_weave(over_a_cell(curtain, used, cell.r1**2 * float(np.prod(locked.sides))), axes)
-    states = rve.nearest_poses(in_weave(curtain.E[used], axes), cell, locked)
+    states = nearest_poses(in_weave(curtain.E[used], axes), cell, locked)
     work, own = S * WEIGHT @ locked.E.T, double_dot(S, states.E)
     # S loads the rings where it does most work; poses may be slack across it, or of a triangle that bears another S
     taut = np.where((own > work.max(axis=1))[:, None], states.E, locked.E[work.argmax(axis=1)])
-    loads = rve.cauchy_of(S, taut)
+    loads = cauchy_of(S, taut)
     tell(f"{len(sites.X)} rings in their places")
     centre, normal = place_rings(curtain, sites, states, row, cell, axes)
     tell(f"contact forces of {len(used)} cells")
-    force = rve.largest_forces(loads, cell)[row, sites.index[:, 0]]
+    force = largest_forces(loads, cell)[row, sites.index[:, 0]]
     most = int(np.argmax(curtain.line_load[used]))
     turn = turns(curtain, used[[most]], taut[[most]], axes)[0]
-    worst = WorstCell(int(used[most]), str(states.status[most]), rve.cell_forces(loads[most], cell), turn)
-    fit = rve.fit_rings(sites.index, centre, normal, cell)
+    worst = WorstCell(int(used[most]), str(states.status[most]), cell_forces(loads[most], cell), turn)
+    fit = fit_rings(sites.index, centre, normal, cell)
     wall_s = round(time.perf_counter() - began, 3)
     return RingField(curtain, cell, sites, centre, normal, states, row, fit, force, worst, wall_s)
 
@@ -112,7 +125,7 @@ def find_sites(
 
     middle, step = 0.5 * (curtain.X.min(axis=0) + curtain.X.max(axis=0)), cell.r1 * np.array(sides)
     # axes is orthogonal, so that it is its own inverse from the right
-    corners, shares = ((curtain.X - middle) @ axes / step)[curtain.triangles], rve.reference_shares(cell)
+    corners, shares = ((curtain.X - middle) @ axes / step)[curtain.triangles], reference_shares(cell)
     low = np.floor(corners.min(axis=(0, 1)) - shares.max(axis=0)).astype(int)
     high = np.ceil(corners.max(axis=(0, 1)) - shares.min(axis=0)).astype(int) + 1
     ranges = np.arange(len(shares)), *map(np.arange, low, high)
@@ -130,7 +143,7 @@ def find_sites(
 
 
 def place_rings(
-    curtain: Curtain, sites: Sites, states: rve.NearestPoses, row: Index, cell: rve.Cell, axes: Array
+    curtain: Curtain, sites: Sites, states: NearestPoses, row: Index, cell: rve.Cell, axes: Array
 ) -> tuple[Array, Array]:
     """Centres (n, 3) in mm and unit normals (n, 3) of the rings of the sites, in the axes of the curtain; row (n,) is
     the pose of each in `states`, in weave axes."""
@@ -138,7 +151,7 @@ def place_rings(
     corner = curtain.triangles[sites.triangle, 0]
     away = np.einsum("nxX,nX->nx", curtain.F[sites.triangle], sites.X - curtain.X[corner])
     centre = padded(curtain.x[corner] + away) + np.einsum(
-        "nxy,ny->nx", turn[:, :, :2], rve.offsets(states.pose, cell)[row, ring]
+        "nxy,ny->nx", turn[:, :, :2], offsets(states.pose, cell)[row, ring]
     )
     return centre, np.einsum("nxy,ny->nx", turn, states.pose.normals[row, ring])
 
@@ -156,7 +169,7 @@ def turns(curtain: Curtain, triangle: Index, E: Array, axes: Array) -> Array:
     else:
         two = to_curtain.T @ polar(F, _normals(curtain))[triangle] @ axes
         frames = np.concatenate([two, np.cross(two[:, :, 0], two[:, :, 1])[:, :, None]], axis=2)
-    return np.asarray(to_curtain @ frames @ about_normal(rve.deformation_gradient(E)).transpose(0, 2, 1))
+    return np.asarray(to_curtain @ frames @ about_normal(deformation_gradient(E)).transpose(0, 2, 1))
 
 
 def about_normal(F: Array) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from homogenize import CellInfo, MembraneLaw, cell_of, default_law, with_material
+from homogenize import MembraneLaw, default_law, with_material
 from macro_fem.curtain import CurtainSolution
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import in_space_of, padded
@@ -26,11 +26,11 @@ from macro_fem.scene.shapes import Rectangle
 from macro_fem.scene.sites import Sliding
 from macro_fem.scene.supports import build_supports, check_pins, pin_sliding
 from macro_fem.scene.tables import Bar, Wind, in_3d
-from rve import solve_table
+from rve import Cell, FiniteMesh, reference_cell
 from rve.common import Array, Index, InputError
 from rve.common.materials import material_of
-from rve.finite import FiniteMesh, FiniteOptions, FiniteSolution, HalfSpace, cell_of_sides
-from rve.geometry import Cell
+from rve.finite import FiniteOptions, FiniteSolution, HalfSpace
+from rve.geometry import CellInfo
 
 SLIDES = 1e-6
 """Part of the loads up to which the force of a pin counts as none: walls push a little where nothing touches."""
@@ -103,7 +103,7 @@ def ring_scene(scene: Scene, rings: Cell | MembraneLaw | None = None, *, at_rest
     """The rings of a scene, see `EveryRing`; InputError for what they cannot be or hold, what falls if `at_rest`."""
     info: CellInfo | None
     if isinstance(rings, Cell):
-        info = cell_of(solve_table(in_material(scene, rings), ([0.0], [90.0])))
+        info = reference_cell(in_material(scene, rings))
     else:
         law = default_law() if rings is None else rings
         info = with_material(law, dict(scene.material), f"{scene.source}: [material]").cell
@@ -144,11 +144,13 @@ def _finite_mesh(scene: Scene, info: CellInfo) -> FiniteMesh:
     curtain = scene.curtain
     ring_cost(scene, info)
     outline = curtain.corners(scene.mesh.cells)
-    cell = cell_of_sides(info.r1_mm, info.r2_mm, (info.b_x_mm, info.b_y_mm))
+    cell = info.cell()
     mass = 1e-6 * info.areal_mass_kg_per_m2 * info.b_x_mm * info.b_y_mm / cell.weave.classes  # of a ring
-    cell = replace(cell, density=cell.density * mass / cell.ring_mass)
+    metal = replace(cell.material, density_kg_per_mm3=cell.density * mass / cell.ring_mass)
+    cell = replace(cell, material=metal)
     try:
-        return FiniteMesh.inside(cell, outline, [np.array(hole) for hole in curtain.holes], curtain.weave_angle)
+        holes = [np.array(hole) for hole in curtain.holes]
+        return FiniteMesh.inside(cell, outline, holes, curtain.weave_angle, info.sides_mm)
     except InputError as error:
         raise InputError(f"{scene.source}: [curtain]: {error}") from error
 

@@ -14,7 +14,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from homogenize import CellInfo
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import cross
 from macro_fem.fem.discretization import Discretization
@@ -22,9 +21,10 @@ from macro_fem.scene.meshing.mesh import CurtainMesh, edge_nodes, facet_nodes, p
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
+from rve import DirectOptions
+from rve import solidity as solidity_of
 from rve.common import Array
-from rve.finite import cell_of_sides
-from rve.wire import solidity as solidity_of
+from rve.geometry import CellInfo
 
 PER_MM2 = 1e-6
 """m2 per mm2: kg/m2 times m/s2 is N/m2."""
@@ -167,7 +167,7 @@ def layered_drag(cell: CellInfo | None, layers: Array) -> Array:
 @lru_cache(maxsize=8)
 def ring_solidity(cell: CellInfo) -> float:
     """Projected area of the rings of a law over the reference area, see `rve.solidity`."""
-    return solidity_of(cell_of_sides(cell.r1_mm, cell.r2_mm, (cell.b_x_mm, cell.b_y_mm)))
+    return solidity_of(cell.cell(), DirectOptions(reference=cell.reference))
 
 
 def drag_coefficient(solidity: Array | float) -> Array:

@@ -5,7 +5,7 @@ With D = R R^T W (W, `rve.common.tensor.WEIGHT`, weights the shear component by 
 
     minimise  -l.z + sum w eps.eps / 2   subject to   S_i:(E(F_q(z)) - R eps_q) <= h_i   at every point q,
 
-D = 0 is the rigid curtain: R has no columns and there is no eps. Rings that give by direction (`homogenize.GivingLaw`)
+D = 0 is the rigid curtain: R has no columns and there is no eps. Rings that give by direction (`GivingLaw`)
 have one more component tau of eps, S_i:(E - R e) - g_i tau <= h_i. With S = L L^T, c^2 = 2 h + tr S and
 n = (R^T W S . e + g tau)/c every half-space is a second-order cone,
 

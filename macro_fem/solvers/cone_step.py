@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from homogenize import Cut
+from homogenize.laws import Cut
 from macro_fem.solvers import soc
 from macro_fem.solvers.cone_program import LIFT, ConeState, Measure, Program, mean_product
 from macro_fem.solvers.cones import all_cuts, times_root, with_cuts

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homogenize import Cut, HalfSpaces, MembraneLaw
+from homogenize import MembraneLaw
+from homogenize.laws import Cut, HalfSpaces
 from rve.common import Array
 from rve.common.tensor import IDENTITY, trace
 
@@ -24,7 +25,7 @@ LAW_CHUNK = 20_000
 @dataclass(frozen=True)
 class Cones:
     """Half-spaces of all points, one or more of each: `point` (nc,) ascending, S (nc, 3), h (nc,), `first` (nq,) where
-    each point begins; extra (nc,): by how much each is widened per unit of tau (`homogenize.GivingLaw`), or None.
+    each point begins; extra (nc,): by how much each is widened per unit of tau (`GivingLaw`), or None.
     """
 
     point: np.ndarray

@@ -56,8 +56,9 @@ class RingLayout:
         """A rectangle of `columns` by `rows` reference cells, its lower left corner at the origin."""
         if columns < 1 or rows < 1:
             raise InputError(f"{columns} x {rows} cells: a rectangle has one cell or more along each side")
-        W, H = np.array([columns, rows]) * reference_sides(cell, DirectOptions())
-        return cls.inside(cell, [(0.0, 0.0), (W, 0.0), (W, H), (0.0, H)])
+        sides_mm = reference_sides(cell, DirectOptions())
+        W, H = np.array([columns, rows]) * sides_mm
+        return cls.inside(cell, [(0.0, 0.0), (W, 0.0), (W, H), (0.0, H)], sides_mm=sides_mm)
 
     @classmethod
     @checked
@@ -67,19 +68,21 @@ class RingLayout:
         outline: Sequence[tuple[float, float]] | Array,
         holes: Sequence[Sequence[tuple[float, float]] | Array] = (),
         hang_deg: float = 0.0,
+        sides_mm: tuple[float, float] | None = None,
     ) -> Self:
         """The rings whose reference centres lie inside a polygon, in mm, or on it, and not inside a hole.
 
-        The lattice has a point of class 0 on the first corner of the outline if its sides are whole cells, and in the
-        middle of its bounding box otherwise. InputError if there are fewer than two rings, more than a million, or
-        a ring without a link.
+        sides_mm: b_x, b_y of the reference cell, by default that of rings side by side. The lattice has a point of
+        class 0 on the first corner of the outline if its sides are whole cells, and in the middle of its bounding box
+        otherwise. InputError if there are fewer than two rings, more than a million, or a ring without a link.
         """
         border = np.asarray(outline, dtype=float)
         inner = [np.asarray(hole, dtype=float) for hole in holes]
         for polygon in (border, *inner):
             if polygon.ndim != 2 or polygon.shape[1] != 2 or len(polygon) < 3 or not np.isfinite(polygon).all():
                 raise InputError("an outline or a hole is not a list of three or more points [x, y]")
-        sides = cell.r1 * np.array(weave_sides(cell, reference_sides(cell, DirectOptions())))
+        sides_mm = reference_sides(cell, DirectOptions()) if sides_mm is None else sides_mm
+        sides = cell.r1 * np.array(weave_sides(cell, sides_mm))
         axes = axes_of_weave(cell, hang_deg)
         region = shapely.Polygon(border, inner)
         index, X = _sites(cell, border, region, sides, axes)

@@ -15,7 +15,7 @@ from rve.finite.contacts import MeshContacts, links_intact
 from rve.finite.layout import RingLayout
 from rve.finite.newton import gradients, spread
 from rve.finite.problem import Obstacle, Problem, RoundBody, ScaledProblem
-from rve.plots import DrawnRings
+from rve.placed.drawn import DrawnRings
 
 _SEEN = 1e-3
 """Forces of supports below this part of the largest one are not drawn."""

@@ -1,4 +1,6 @@
 from .cell import Cell as Cell
+from .cell import CellInfo as CellInfo
+from .cell import read_cell_info as read_cell_info
 from .cell import weave_axes as weave_axes
 from .cell import weave_sides as weave_sides
 from .contacts import CellContacts as CellContacts

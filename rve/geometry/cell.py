@@ -1,19 +1,26 @@
-"""The mesh: radii, weave, grain and density."""
+"""The mesh: radii, weave, grain and density; with its reference state, which strains refer to."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
+import numpy as np
 from msgspec import Meta
 
-from rve.common import Typed, shown
-from rve.common.cell_fields import Density, Length, ring_volume
+from rve.common import InputError, Typed, shown
+from rve.common.cell_fields import ArealMass, Density, Length, areal_mass, check_rings, ring_volume
 from rve.common.materials import STEEL, Material, named_material
-from rve.geometry.weave import FOUR_IN_ONE, Weave, named_weave, supercell
+from rve.common.typed import read_typed
+from rve.geometry.weave import FOUR_IN_ONE, WEAVES, Weave, named_weave, supercell
 
 CellCount = Annotated[int, Meta(ge=1, le=4)]
 """Primitive cells on a side of a larger one: 4 x 4 of them have 160 coordinates."""
+
+
+SAME_RINGS = 1e-6
+"""Relative difference of radii and reference cells that are count as the same."""
 
 
 class OfMaterial(float):
@@ -113,6 +120,86 @@ class Cell(Typed):
     def ring_mass(self) -> float:
         """Mass of one ring in kg."""
         return self.density * ring_volume(self.r1, self.r2)
+
+
+@dataclass(frozen=True)
+class CellInfo(Typed):
+    """The rings behind a table or a law, and the cell that their strains refer to; in mm and kg/m2.
+
+    b_x_mm, b_y_mm: sides of the reference cell, one primitive cell, chosen by `reference` (`rve.DirectOptions`).
+    weave, grain: see `Cell`; the weave is None where a file does not name one. material: None where it is not known.
+
+    >>> CellInfo.of(Cell(), (11.0, 12.646069623526)).cell() == Cell()
+    True
+    """
+
+    r1_mm: Length
+    r2_mm: Length
+    b_x_mm: Length
+    b_y_mm: Length
+    areal_mass_kg_per_m2: ArealMass
+    weave: str | None = FOUR_IN_ONE.name
+    grain: Literal["y", "x"] = "y"
+    reference: Literal["side-by-side", "locked"] = "side-by-side"
+    material: Material | None = None
+
+    @classmethod
+    def of(
+        cls, cell: Cell, sides_mm: tuple[float, float], reference: Literal["side-by-side", "locked"] = "side-by-side"
+    ) -> CellInfo:
+        """The rings of a cell whose reference state has these sides b_x, b_y."""
+        weave, (b_x, b_y) = cell.weave, sides_mm
+        area = b_x * b_y * weave.repeat[0] * weave.repeat[1] / weave.classes  # of one ring
+        mass = areal_mass(cell.r1, cell.r2, area, cell.density)
+        return cls(cell.r1, cell.r2, b_x, b_y, mass, weave.name, cell.grain, reference, cell.material)
+
+    @property
+    def sides_mm(self) -> tuple[float, float]:
+        """b_x and b_y."""
+        return self.b_x_mm, self.b_y_mm
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether the weave is its own mirror image; a weave that is not known counts as chiral."""
+        return self.weave in WEAVES and WEAVES[self.weave].is_mirrored
+
+    def cell(self) -> Cell:
+        """The mesh of these rings, of steel if their material is not known; InputError if their weave is not known."""
+        if self.weave not in WEAVES:
+            raise InputError(
+                f"a reference cell of {self.b_x_mm:g} x {self.b_y_mm:g} mm is of no known weave, r1 = {self.r1_mm:g}, "
+                f"r2 = {self.r2_mm:g} mm; make table and law again with rve table and homogenize fit"
+            )
+        return Cell(self.r1_mm, self.r2_mm, WEAVES[self.weave], self.grain, material=self.material or STEEL)
+
+    def check_same(self, other: CellInfo, where: str, name: str) -> None:
+        """InputError if `other` are rings of another weave or shape, of any size; `where` names them, `name` these."""
+        shapes = [np.array([one.r2_mm, *one.sides_mm]) / one.r1_mm for one in (other, self)]
+        if np.abs(np.subtract(*shapes)).max() <= SAME_RINGS:
+            return
+        if other.weave and self.weave and (other.weave, other.grain) != (self.weave, self.grain):
+            weaves = [f"the weave {one.weave} with grain {one.grain}" for one in (other, self)]
+            raise InputError(f"{where}: has {weaves[0]}, {name} {weaves[1]}; give both the same one")
+        given, own = (", ".join(f"{x:.6g}" for x in shape) for shape in shapes)
+        raise InputError(f"{where}: r2, b_x and b_y over r1 are {given}, those of {name} are {own}")
+
+
+def read_cell_info(record: Mapping[str, Any], where: str) -> CellInfo:
+    """The rings that a file tells: the fields of a `CellInfo`, in a record with others; `where` names file and table.
+
+    By default of the 4-in-1 weave, with grain y, side by side; without an areal mass it is that of `density_kg_per_mm3`
+    or of steel. InputError for sizes that are missing and values out of range.
+    """
+    sizes = check_rings(record, where)
+    if missing := [key for key in ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm") if key not in sizes]:
+        raise InputError(f"{where} {missing[0]}: is missing")
+    metal = record.get("material")
+    material = None if metal is None else read_typed(Material, metal, f"{where} material")
+    density = sizes.pop("density_kg_per_mm3", STEEL.density_kg_per_mm3)
+    area = 0.5 * sizes["b_x_mm"] * sizes["b_y_mm"]  # of one ring, in every weave
+    mass = {"areal_mass_kg_per_m2": areal_mass(sizes["r1_mm"], sizes["r2_mm"], area, density)}
+    words = {key: record[key] for key in ("weave", "grain", "reference") if key in record}
+    return read_typed(CellInfo, mass | sizes | words | {"material": material}, where)
 
 
 def weave_sides(cell: Cell, sides_mm: tuple[float, float]) -> tuple[float, float]:

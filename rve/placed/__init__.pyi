@@ -1,3 +1,4 @@
+from .drawn import DrawnRings as DrawnRings
 from .fit import NEAR as NEAR
 from .fit import Fit as Fit
 from .fit import axes_of_weave as axes_of_weave

@@ -105,14 +105,19 @@ class NearestPoses(Rows):
 
 
 @checked
-def locked_arrangements(cell: Cell, options: PoseOptions = OPTIONS) -> LockedArrangements:
-    """Locked states under loads in all directions, to interpolate between; NotConverged if none is found."""
+def locked_arrangements(
+    cell: Cell, options: PoseOptions = OPTIONS, sides_mm: tuple[float, float] | None = None
+) -> LockedArrangements:
+    """Locked states under loads in all directions, to interpolate between; NotConverged if none is found.
+
+    sides_mm: b_x, b_y of the reference cell that strains refer to; by default that of rings side by side.
+    """
     loads = product(np.array(options.alpha_deg), np.array(options.beta_deg))
     equilibrium = locked_block(*loads, replace(cell, grain="y"), DirectOptions()).found
     good = np.flatnonzero(equilibrium.status == "converged")
     if not len(good):
         raise NotConverged(f"r1 = {cell.r1:g}, r2 = {cell.r2:g}: no locked state was found to compare the rings with")
-    sides = weave_sides(cell, reference_sides(cell, DirectOptions()))
+    sides = weave_sides(cell, reference_sides(cell, DirectOptions()) if sides_mm is None else sides_mm)
     pose = equilibrium.pose.take(good)
     return LockedArrangements(pose, lattice_strain(pose.lattice, sides)[0], sides)
 

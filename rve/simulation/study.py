@@ -80,7 +80,8 @@ def solve_study(alpha_deg: ArrayLike, beta_deg: ArrayLike, options: StewartTrink
     rest = simulate(s, Equations.of(cell.weave, cell.wire), options, history=True)
     ended = time.perf_counter()
     assert rest.history is not None
-    sides = table.provenance["b_x_mm"] / cell.r1, table.provenance["b_y_mm"] / cell.r1
+    assert table.cell is not None
+    sides = table.cell.b_x_mm / cell.r1, table.cell.b_y_mm / cell.r1
     return Study(table, options, rest, rest.history, sides, (ended - between, between - began))
 
 

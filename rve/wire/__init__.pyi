@@ -5,13 +5,13 @@ from .kernels import flexibility as flexibility
 from .kernels import internal_forces as internal_forces
 from .kernels import section_matrix as section_matrix
 from .kernels import self_stress as self_stress
+from .projection import shadow as shadow
+from .projection import solidity as solidity
 from .section import Ring as Ring
 from .section import Section as Section
 from .section import out_of_plane_inertia as out_of_plane_inertia
 from .section import shear_factor as shear_factor
 from .section import skin_stress as skin_stress
-from .solidity import shadow as shadow
-from .solidity import solidity as solidity
 from .strength import PulledRing as PulledRing
 from .strength import StrengthOptions as StrengthOptions
 from .strength import peak_stress as peak_stress

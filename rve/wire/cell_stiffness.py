@@ -5,7 +5,7 @@ Lengths are in r1, forces in s r1, and Young's modulus is 1: compliances are to 
 `with_rings` makes columns of a table of them, in mm and N.
 """
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import nnls
@@ -22,7 +22,7 @@ from rve.geometry.kinematics import lattice_strain, second_pk
 from rve.geometry.pose import deformation, tiled
 from rve.geometry.ring_pair import cross, dot, tangent_frame
 from rve.geometry.weave import supercell
-from rve.solve import locked_states, reference_sides
+from rve.solve import locked_states, reference_cell
 from rve.table import StrainTable
 from rve.wire.kernels import flexibility
 from rve.wire.section import Ring
@@ -52,21 +52,27 @@ def with_rings(table: StrainTable, cell: Cell, joint: str = "welded") -> StrainT
     >>> table.strength.round(1)  # yield stress in N/mm2 per N/mm of line load along the grain
     array([[123.2,  59.4]])
     """
-    record, material, closure = table.provenance, cell.material, Joint.of(joint)
-    of_cell = {"weave": cell.weave.name, "grain": cell.grain, "r1_mm": cell.r1, "r2_mm": cell.r2}
-    for key, value in (of_cell | {"density_kg_per_mm3": cell.density}).items():
-        if record.get(key, value) != value:
-            raise InputError(f"{key} = {value} of the cell: the table has {record[key]}; give the table's cell")
+    material, closure = cell.material, Joint.of(joint)
+    info = reference_cell(cell) if table.cell is None else replace(table.cell, material=material)
+    metal = material if table.cell is None else table.cell.material or material
+    for key, value, of_table in (
+        ("weave", cell.weave.name, info.weave),
+        ("grain", cell.grain, info.grain),
+        ("r1_mm", cell.r1, info.r1_mm),
+        ("r2_mm", cell.r2, info.r2_mm),
+        ("density_kg_per_mm3", cell.density, metal.density_kg_per_mm3),
+    ):
+        if value != of_table:
+            raise InputError(f"{key} = {value} of the cell: the table has {of_table}; give the table's cell")
     states, is_solved = table.states, table.converged
     if states is None:  # a table that was read: solved again, from the slack pose alone
         states = locked_states(table.alpha_deg, table.beta_deg, cell, DirectOptions())
         is_solved = is_solved if table.branch is None else is_solved & (table.branch == "slack")
     states = replace(states, found=replace(states.found, status=np.where(is_solved, states.found.status, "stalled")))
-    sides = (record["b_x_mm"], record["b_y_mm"]) if "b_x_mm" in record else reference_sides(cell, DirectOptions())
 
     def columns(states: LockedStates) -> tuple[Array, Array]:
         """Compliance (n, 2, 3, 3) in weave axes, of the bend at unit trace of S and of the rings; strength (n, 2)."""
-        reference = weave_sides(states.cell, sides)
+        reference = weave_sides(states.cell, info.sides_mm)
         equations, S = (
             Equations.of(states.cell.weave, cell.wire),
             second_pk(deformation(states.pose, reference), states.s),
@@ -84,8 +90,7 @@ def with_rings(table: StrainTable, cell: Cell, joint: str = "welded") -> StrainT
         np.add.at(parts, rows, share[:, None, None, None] * (other - first[rows]))
     bend, elastic = np.moveaxis(parts[..., weave_axes(cell), weave_axes(cell)], 1, 0)
     D = bend / trace(table.S)[:, None, None] + elastic
-    record = record | {"compliance": "rings", "joint": closure.name, "material": asdict(material)}
-    return replace(table, compliance=D, strength=strength, provenance=record)
+    return replace(table, compliance=D, strength=strength, cell=info, joint=closure.name)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,8 @@
 
 from benchmarks.omissions import motion, rings
 from benchmarks.omissions.compare import LEFT_OUT
-from rve.geometry import Cell, cauchy_line_load
+from rve import Cell
+from rve.geometry import cauchy_line_load
 
 
 def test_a_feature_of_rings_forced():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from homogenize.fitting.rows import LockedRows
+from homogenize.laws import LockedRows, ring_cell
 from rve.common.tensor import WEIGHT, double_dot, from_disc, trace
 
 
@@ -35,9 +35,10 @@ def rows_of(truth, S):
     return LockedRows(S, E, double_dot(S, E), np.ones(len(S), bool), np.arange(len(S)))
 
 
-def table_of(S, E, *, status=None, unique=None, provenance=None):
+def table_of(S, E, *, status=None, unique=None):
     """A table in memory with the given loads and strains; angles are those of the load on the undeformed cell."""
-    from rve.table import RowQuality, StrainTable
+    from rve import StrainTable
+    from rve.table import RowQuality
 
     n = len(S)
     alpha = np.degrees(0.5 * np.arctan2(2.0 * S[:, 1], S[:, 0] - S[:, 2]))
@@ -46,9 +47,8 @@ def table_of(S, E, *, status=None, unique=None, provenance=None):
     unique = np.ones(n, bool) if unique is None else unique
     status = np.full(n, "converged") if status is None else status
     sides, quality = np.zeros((n, 2)), RowQuality(np.zeros(n), np.zeros(n), np.zeros(n, int), np.zeros(n, int))
-    if provenance is None:
-        provenance = {"r1_mm": 5.0, "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": 12.646069623526}
-    return StrainTable(alpha, beta, E, S, sides, sides, unique, status, quality, None, provenance)
+    cell = ring_cell(5.0, 0.5, 11.0, 12.646069623526)
+    return StrainTable(alpha, beta, E, S, sides, sides, unique, status, quality, cell=cell)
 
 
 def derivative_errors(law, E, step=1e-6):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import homogenize
-from homogenize.export.umat import umat_source
-from homogenize.laws.polyhedral import polyhedral_law
+from homogenize.export import umat_source
+from homogenize.laws import polyhedral_law
 from rve.common import Array
 
 from .conftest import disc_grid

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from homogenize import default_law, load_law
 from homogenize.cli import main
-from homogenize.io import DEFAULT_LAW, default_law, load_law
-from homogenize.query.answers import support_answer
+from homogenize.io import DEFAULT_LAW
+from homogenize.query import support_answer
 from rve.common import InputError
 
 TABLE = Path(__file__).parent / "data" / "table190.csv"

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from homogenize import ClothLaw, load_law
-from macro_fem import read_scene
-from macro_fem.job import solve
+from macro_fem import read_scene, solve
 from rve.common import InputError
 from rve.common.tensor import double_dot, trace
 

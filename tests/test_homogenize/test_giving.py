@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from homogenize import default_law, elastic_law
-from homogenize.fitting.fit import stiffness_by_direction
-from homogenize.laws.giving import constant_compliance, work_along
-from homogenize.laws.polyhedral import giving_law
+from homogenize.fitting.table import stiffness_by_direction
+from homogenize.laws import constant_compliance, giving_law, work_along
 from rve.common.tensor import WEIGHT, double_dot, eigenvalues, trace
 
 LAW = default_law()

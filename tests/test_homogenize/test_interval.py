@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from homogenize.fitting.report import random_loads
-from homogenize.interval import interval_or_law, law_interval, read_law_interval
+from homogenize import diagonal_net, read_law_interval
+from homogenize.fitting import interval_or_law, law_interval, random_loads
 from homogenize.io import DEFAULT_LAW
-from homogenize.laws.net import diagonal_net
 from rve.common import InputError
 from rve.common.tensor import double_dot
 

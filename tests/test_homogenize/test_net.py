@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from homogenize.fitting.report import random_loads
-from homogenize.laws.net import diagonal_net, ring_cell, ring_net
+from homogenize import diagonal_net, ring_net
+from homogenize.fitting import random_loads
+from homogenize.laws import ring_cell
 from rve.common.tensor import WEIGHT, double_dot, eigenvalues, trace
 
 LAWS = {"ring": ring_net(ring_cell(5.0, 0.5, 11.0, 12.646069623526)), "abstract": diagonal_net(1.0)}

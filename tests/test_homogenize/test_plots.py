@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from homogenize import default_law
 from homogenize.cli import main
-from homogenize.fitting.rows import rows_from_table
-from homogenize.io import DEFAULT_LAW, default_law
+from homogenize.fitting import rows_from_table
+from homogenize.io import DEFAULT_LAW
 from homogenize.laws.pictures import locking_surface, strength_loads
-from rve.table import read_table
+from rve import read_table
 
 TABLE = Path(__file__).parent / "data" / "table190.csv"
 

@@ -6,10 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
-from homogenize.fitting.bounds import bounds_of, inner_law, outer_law
-from homogenize.fitting.refine import refined_half_spaces
-from homogenize.fitting.report import random_loads
-from homogenize.laws.polyhedral import polyhedral_law
+from homogenize.fitting import bounds_of, inner_law, outer_law, random_loads, refined_half_spaces
+from homogenize.laws import polyhedral_law
 from rve.common import InputError
 from rve.common.tensor import WEIGHT, double_dot, eigenvalues, from_disc, trace
 

@@ -5,18 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from homogenize.fitting.bounds import bounds_of
-from homogenize.fitting.refine import FINEST, Nodes, on_arcs, refined_half_spaces
-from homogenize.fitting.report import random_loads
-from homogenize.fitting.rows import rows_from_table
-from homogenize.io import default_law
-from homogenize.laws.polyhedral import polyhedral_law
-from homogenize.query.strain import locked_strain
+from homogenize import default_law, locked_strain
+from homogenize.fitting import bounds_of, random_loads, refined_half_spaces, rows_from_table
+from homogenize.fitting.refine import FINEST, Nodes, on_arcs
+from homogenize.laws import polyhedral_law
+from rve import Cell, graded_grid, read_table, solve_table
 from rve.common.tensor import disc, double_dot, from_disc
-from rve.directions import graded_grid
-from rve.geometry import Cell
-from rve.solve import solve_table
-from rve.table import read_table
 
 from .conftest import disc_grid, rows_of
 

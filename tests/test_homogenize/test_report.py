@@ -5,15 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homogenize import default_law
+from homogenize import default_law, fit
 from homogenize.directions import beyond, limits_of
-from homogenize.fitting.bounds import outer_law
-from homogenize.fitting.fit import fit
-from homogenize.fitting.report import error_report, held_out_misfit
-from homogenize.fitting.rows import normality
-from homogenize.query.answers import extrapolates
-from rve import deformation_gradient, second_pk
+from homogenize.fitting import error_report, normality, outer_law
+from homogenize.fitting.report import held_out_misfit
+from homogenize.query import extrapolates
 from rve.common.tensor import from_disc, trace
+from rve.geometry import deformation_gradient, second_pk
 
 from .conftest import disc_grid, rows_of, table_of
 

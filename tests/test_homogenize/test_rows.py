@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from homogenize.fitting.bounds import inner_law, outer_law
-from homogenize.fitting.report import random_loads
-from homogenize.fitting.rows import LockedRows, normality, rows_from_table, with_mirror
+from homogenize.fitting import inner_law, normality, outer_law, random_loads, rows_from_table
+from homogenize.laws import LockedRows, with_mirror
 from rve.common import InputError
 from rve.common.tensor import double_dot, mirror
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homogenize.fitting.fit import fit
-from homogenize.laws.giving import constant_compliance, work_along
+from homogenize import fit
+from homogenize.laws import constant_compliance, work_along
 from rve.common import InputError
 from rve.common.tensor import WEIGHT
 

@@ -6,13 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from homogenize import ClothLaw, default_law, fit_table, load_law, ring_net
+from homogenize import ClothLaw, FitOptions, default_law, fit_table, load_law, ring_net, with_material
 from homogenize.io import DEFAULT_LAW
-from homogenize.laws.net import ring_cell
-from homogenize.query.answers import strain_answer
+from homogenize.laws import law_record, ring_cell
+from homogenize.query import strain_answer
+from rve import MATERIALS, DirectOptions, read_table
 from rve.common import InputError
 
 TABLE = Path(__file__).parent / "data" / "table190.csv"
+OLD = TABLE.parent / "version_0_2"
 
 
 @pytest.fixture(scope="module")
@@ -39,17 +41,46 @@ def test_a_law_file_keeps_every_digit(law, tmp_path):
     assert np.array_equal(again.cut(E).S, law.cut(E).S)
 
 
+def test_files_of_version_0_2_are_read(tmp_path):
+    """They tell the weave in the sidecar alone, and in words whether the stiffness is that of the rings."""
+    table, law = read_table(OLD / "table.csv"), load_law(OLD / "law.json")
+    assert (table.cell.weave, table.cell.grain, table.cell.reference) == ("4-in-1", "x", "locked")
+    assert (table.cell.material, table.joint) == (MATERIALS["titanium grade 2"], "welded")
+    assert table.options == DirectOptions(reference="locked")
+    assert (law.cell, law.stiffness_is_measured, law.report.kind) == (table.cell, True, "outer")
+    new = fit_table(OLD / "table.csv", FitOptions("outer")).law
+    assert np.allclose(law.h, new.h, rtol=0.0, atol=1e-12)
+    assert np.array_equal(law.rows.E, new.rows.E)
+    assert with_material(law, {"young": 52.5e3}).stiffness == pytest.approx(0.5 * law.stiffness)
+    law.save(tmp_path / "law.json")
+    again = load_law(tmp_path / "law.json")
+    assert law_record(again) == law_record(law)
+
+
+@pytest.mark.parametrize(("sides", "told"), [((12.646069623526, 11.0), ("4-in-1", "x")), ((11.0, 14.0), (None, "y"))])
+def test_a_net_of_version_0_2_has_the_weave_of_its_sides(sides, told, tmp_path):
+    record = json.loads(json.dumps(law_record(ring_net(ring_cell(5.0, 0.5, *sides)))))
+    for key in ("weave", "grain", "reference", "material"):
+        del record["cell"][key]
+    del record["stiffness_is_measured"]
+    (tmp_path / "net.json").write_text(json.dumps(record))
+    law = load_law(tmp_path / "net.json")
+    assert (law.cell.weave, law.cell.grain, law.stiffness_is_measured) == (*told, False)
+    if law.cell.weave is None:
+        with pytest.raises(InputError, match="of no known weave"):
+            law.cell.cell()
+
+
 def test_a_report_that_is_none_is_refused(tmp_path):
     record = json.loads(DEFAULT_LAW.read_text())
     for change, words in (
-        ({"report": 3}, "the law's report: is not a table"),
+        ({"report": 3}, "law.json: provenance report: is not a table"),
         ({"report": record["provenance"]["report"] | {"gap": {"count": -1}}}, "count = -1"),
         ({"report": {"kind": "refined"}}, "normality: is missing"),
     ):
         (tmp_path / "law.json").write_text(json.dumps(record | {"provenance": record["provenance"] | change}))
-        law = load_law(tmp_path / "law.json")  # the mechanics do not depend on it
         with pytest.raises(InputError, match=words):
-            _ = law.report
+            load_law(tmp_path / "law.json")
 
 
 def test_a_law_shows_itself_in_a_line(fitted):

@@ -5,22 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from homogenize.fitting.bounds import outer_law
-from homogenize.fitting.refine import refined_half_spaces
-from homogenize.fitting.report import random_loads
-from homogenize.fitting.rows import LockedRows, rows_from_provenance, rows_from_table, rows_to_dict
-from homogenize.io import default_law
-from homogenize.laws.net import diagonal_net, ring_cell, ring_net
-from homogenize.laws.polyhedral import polyhedral_law
-from homogenize.query.strain import StrainOptions, locked_strain
-from homogenize.query.strain_bounds import strain_bounds
+from homogenize import default_law, diagonal_net, locked_strain, ring_net
+from homogenize.fitting import outer_law, random_loads, refined_half_spaces, rows_from_table
+from homogenize.laws import LockedRows, polyhedral_law, read_rows, ring_cell
+from homogenize.query import strain_bounds
+from homogenize.query.strain import StrainOptions
+from rve import Cell, DirectOptions, read_table, solve_table
 from rve.common import InputError
 from rve.common.tensor import double_dot, dyad, from_disc, trace
 from rve.directions import product
-from rve.equilibrium.interior_point import DirectOptions
-from rve.geometry import Cell, cauchy_line_load, deformation_gradient, second_pk
-from rve.solve import solve_table
-from rve.table import read_table
+from rve.geometry import cauchy_line_load, deformation_gradient, second_pk
 
 from .conftest import disc_grid, rows_of
 
@@ -184,14 +178,14 @@ def test_rows_with_an_error_widen_the_bounds(ellipsoid):
 
 def test_rows_survive_a_file_and_false_ones_are_refused(ellipsoid):
     rows = rows_of(ellipsoid, disc_grid(2, 6))
-    data = rows_to_dict(rows)
-    again = rows_from_provenance({"table_rows": data}, "law.json")
+    data = rows.to_dict()
+    again = read_rows(data, "law.json: rows")
     assert np.array_equal(again.S, rows.S)
     assert np.array_equal(again.h, rows.h)
     for key, value in (("S", 2.0), ("E", float("nan")), ("E", -0.7)):
         bad = {**data, key: [[value, 0.0, value], *data[key][1:]]}
         with pytest.raises(InputError, match=r"row 0|E\[0\]\[0\] = nan"):
-            rows_from_provenance({"table_rows": bad}, "law.json")
+            read_rows(bad, "law.json: rows")
     for bad in ([], {**data, "unique": [1]}, {**data, "S": [[1.0, 2.0]]}, {"S": [], "E": [], "unique": []}):
-        with pytest.raises(InputError, match=r"^law\.json: provenance table_rows"):
-            rows_from_provenance({"table_rows": bad}, "law.json")
+        with pytest.raises(InputError, match=r"^law\.json: rows"):
+            read_rows(bad, "law.json: rows")

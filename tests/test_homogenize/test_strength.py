@@ -1,18 +1,18 @@
 """The strength surface: exact at its rows, homogeneous, symmetric, and the same after a law file."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from homogenize import interval_of_table, load_law, with_material
+from homogenize import FitOptions, fit, load_law, with_material
 from homogenize.cli import main
-from homogenize.directions import Directions
-from homogenize.fitting.fit import FitOptions, fit
-from homogenize.laws.giving import work_along
-from homogenize.strength import Strength, off_grid, read_strength, strength_of_table, tensile_part
+from homogenize.directions import Directions, tensile_part
+from homogenize.fitting import interval_of_table
+from homogenize.laws import Strength, read_strength, strength_of_table, work_along
+from homogenize.laws.strength import off_grid
 from rve import Material
 from rve.common import InputError
 from rve.common.tensor import WEIGHT, double_dot, mirror, trace
@@ -21,7 +21,7 @@ from .conftest import Ellipsoid, disc_grid, table_of
 
 S = disc_grid(5, 24)
 D = np.array([[3e-3, 0.0, -1e-3], [0.0, 4e-3, 0.0], [-1e-3, 0.0, 2e-3]])
-STEEL = asdict(Material(yield_N_per_mm2=400.0, ultimate_N_per_mm2=500.0))
+STEEL = Material(yield_N_per_mm2=400.0, ultimate_N_per_mm2=500.0)
 
 
 def asked(S):
@@ -35,9 +35,9 @@ def table():
     """Every row twice, as in two tables joined."""
     both = np.concatenate([S[::-1], S])
     found = table_of(2.0 * both, Ellipsoid().strain(both))
-    provenance = found.provenance | {"material": STEEL}
+    cell = replace(found.cell, material=STEEL)
     compliance = np.tile(D / WEIGHT[:, None], (len(both), 1, 1))
-    return replace(found, compliance=compliance, strength=asked(both), provenance=provenance)
+    return replace(found, compliance=compliance, strength=asked(both), cell=cell)
 
 
 @pytest.fixture(scope="module")
@@ -102,8 +102,8 @@ def test_between_rows_it_is_symmetric_homogeneous_and_as_wrong_as_reported(stren
 
 def test_a_chiral_weave_has_its_own_strength_on_either_side(table):
     """Rows at S and at its mirror image differ: neither stands for the other."""
-    weave = table.provenance | {"weave": "6-in-1"}
-    chiral = replace(table, strength=table.strength * (1.0 + 0.25 * table.S[:, 1:2]), provenance=weave)
+    cell = replace(table.cell, weave="6-in-1")
+    chiral = replace(table, strength=table.strength * (1.0 + 0.25 * table.S[:, 1:2]), cell=cell)
     found = strength_of_table(chiral)
     assert found.utilisation(S) == pytest.approx(chiral.strength[-len(S) :, 0] / 400.0, rel=1e-9)
     assert found.error.first_yield_max < 0.1
@@ -161,7 +161,7 @@ def test_a_law_file_keeps_it(table, law, strength, tmp_path):
     assert again.utilisation(S) == pytest.approx(strength.utilisation(S), rel=1e-14)
     assert again.error == strength.error
     assert again.material == Material(yield_N_per_mm2=400.0, ultimate_N_per_mm2=500.0)
-    butted = replace(table, provenance=table.provenance | {"joint": "butted:30"})
+    butted = replace(table, joint="butted:30")
     assert read_strength(strength_of_table(butted).to_dict(), "law.json").joint == "butted:30"
     assert "butted:30 rings of steel" in strength_of_table(butted).text()
     fit(table, FitOptions(kind="net")).save(tmp_path / "net.json")  # its strength is that of the table as well

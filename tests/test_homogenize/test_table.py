@@ -10,15 +10,12 @@ import numpy as np
 import pytest
 
 from benchmarks.shipped_law import shipped_record
-from homogenize.fitting.bounds import bounds_of
-from homogenize.fitting.fit import FitOptions, fit
-from homogenize.fitting.report import random_loads
-from homogenize.fitting.rows import rows_from_table
-from homogenize.io import DEFAULT_LAW, default_law
-from homogenize.query.strain import locked_strain
+from homogenize import FitOptions, default_law, fit, locked_strain
+from homogenize.fitting import bounds_of, random_loads, rows_from_table
+from homogenize.io import DEFAULT_LAW
+from rve import read_table
 from rve.common import InputError
 from rve.common.tensor import double_dot, eigenvalues, trace
-from rve.table import read_table
 
 DATA = Path(__file__).parent / "data"
 
@@ -121,7 +118,7 @@ def test_every_kind_is_fitted_and_reports(table):
     assert max(worst["refined"], worst["outer"]) < 1e-10
     assert worst["net"] > 0.01
     with pytest.raises(InputError, match="law of 4-in-1"):
-        fit(replace(table, provenance=table.provenance | {"weave": "6-in-1"}), FitOptions("net"))
+        fit(replace(table, cell=replace(table.cell, weave="6-in-1")), FitOptions("net"))
 
 
 @pytest.mark.slow

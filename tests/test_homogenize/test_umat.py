@@ -6,11 +6,11 @@ import subprocess
 import numpy as np
 import pytest
 
-from homogenize.export.umat import data_statements, umat_source
-from homogenize.fitting.bounds import outer_law
-from homogenize.fitting.refine import refined_half_spaces
-from homogenize.laws.net import diagonal_net
-from homogenize.laws.polyhedral import polyhedral_law
+from homogenize import diagonal_net
+from homogenize.export import umat_source
+from homogenize.export.umat import data_statements
+from homogenize.fitting import outer_law, refined_half_spaces
+from homogenize.laws import polyhedral_law
 from rve.common import InputError
 
 from .conftest import disc_grid, rows_of

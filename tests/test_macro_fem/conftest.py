@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from homogenize.fitting.fit import fit
-from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces
-from rve.table import read_table
+from homogenize import fit
+from homogenize.laws import Cut, HalfSpaces
+from rve import read_table
+from rve.geometry import CellInfo
 from tests.test_macro_fem.sheets import sheet
 
 TABLE = Path(__file__).parents[1] / "test_homogenize" / "data" / "table190.csv"

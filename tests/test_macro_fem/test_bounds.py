@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homogenize.laws.net import diagonal_net
+from homogenize import diagonal_net
 from macro_fem import read_scene
 from macro_fem.bounds.equilibrated import dual_disc
 from macro_fem.bounds.interval import bound, mark

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import skfem
 
-from homogenize.io import default_law
+from homogenize import default_law
 from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
 from macro_fem.fem.cells import counterclockwise

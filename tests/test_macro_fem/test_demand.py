@@ -11,16 +11,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from homogenize import default_law, law_interval, read_law_interval
-from homogenize.fitting.rows import with_mirror
-from macro_fem import read_scene
+from homogenize import default_law, read_law_interval
+from homogenize.fitting import law_interval
+from homogenize.laws import with_mirror
+from macro_fem import OnDemand, read_scene, solve
 from macro_fem.bounds.interval import admissible_problem, bound, loads_of
 from macro_fem.curtain import make_problem, solve_problem
 from macro_fem.demand import rings as rings_module
 from macro_fem.demand.directions import first_directions, widest
 from macro_fem.demand.loop import solve_on_demand, strength_of_rows, with_strength
-from macro_fem.demand.rings import OnDemand, Rings, contradictions, question
-from macro_fem.job import solve
+from macro_fem.demand.rings import Rings, contradictions, question
 from macro_fem.output.strength import MEANING, summary
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.solvers.cones import least_slack

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from homogenize.laws.net import diagonal_net
+from homogenize import diagonal_net
 from macro_fem import read_scene
 from macro_fem.curtain import make_problem
 from macro_fem.output.files import summarize

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from homogenize import default_law, ring_net
-from macro_fem import read_scene
+from macro_fem import read_scene, solve
 from macro_fem.curtain import NOT_UNIQUE, forces_note, self_balanced, solve_problem
-from macro_fem.job import solve
 from tests.test_macro_fem.sheets import solve_scene
 
 WIDTH, HEIGHT = 80.0, 60.0

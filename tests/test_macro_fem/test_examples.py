@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from homogenize.io import default_law
+from homogenize import default_law
 from macro_fem import load_scene, read_scene
 from macro_fem.cli import main
 from macro_fem.curtain import make_problem

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from homogenize.io import default_law
-from homogenize.laws.net import diagonal_net
+from homogenize import default_law, diagonal_net
 from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
 from macro_fem.fem.cells import recovered

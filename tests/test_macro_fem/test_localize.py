@@ -10,23 +10,25 @@ import pytest
 from click.testing import CliRunner
 
 from homogenize import default_law
+from macro_fem import Curtain, localize
 from macro_fem.cli import main
 from macro_fem.output.files import rings
-from macro_fem.rings.curtain import Curtain, Told, curtain_of
-from macro_fem.rings.localize import find_sites, localize, place_rings, turns
+from macro_fem.rings.curtain import Told, curtain_of
+from macro_fem.rings.localize import find_sites, place_rings, turns
+from rve import Cell, DirectOptions
 from rve.common import InputError, checksum
-from rve.equilibrium.interior_point import DirectOptions
-from rve.geometry import (
-    SIX_IN_ONE,
-    Cell,
-    cauchy_line_load,
-    deformation_gradient,
-    find_contacts,
-    lattice_strain,
-    second_pk,
+from rve.geometry import SIX_IN_ONE, cauchy_line_load, deformation_gradient, find_contacts, lattice_strain, second_pk
+from rve.placed import (
+    DrawnRings,
+    axes_of_weave,
+    cell_forces,
+    fit_rings,
+    largest_forces,
+    locked_arrangements,
+    nearest_poses,
+    shares,
 )
-from rve.placed import axes_of_weave, cell_forces, fit_rings, largest_forces, locked_arrangements, nearest_poses, shares
-from rve.plots import ALONG, AROUND, DrawnRings
+from rve.placed.drawn import ALONG, AROUND
 from rve.solve import locked_block
 
 CELL = Cell()
@@ -465,7 +467,7 @@ def test_the_largest_force_is_that_of_the_cell(alpha, beta):
 def test_what_is_slack_beside_a_load_changes_no_force(table):
     """Rings bear S where it locks them, also in cells that are drawn together beside it."""
     _, E, S, s = table
-    told = Told(0.0, rings(default_law().cell))
+    told = Told(0.0, **rings(default_law().cell))
     strains = E[3], E[3] - [0.3, 0.0, 0.15]
     curtains = [sheet(deformation_gradient(one[None])[0], one, S[3], np.eye(2)) for one in strains]
     locked, slack = (localize(replace(one, told=told)).contact_force_N.max() for one in curtains)

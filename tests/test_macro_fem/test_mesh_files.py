@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from homogenize.laws.net import diagonal_net
+from homogenize import diagonal_net
 from macro_fem import read_scene
 from macro_fem.cli import main
 from macro_fem.fem.cells import signed_areas

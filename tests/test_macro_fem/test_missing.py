@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homogenize import Cut, default_law
+from homogenize import default_law
+from homogenize.laws import Cut
 from macro_fem.curtain import gathered_start
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cone_program import Program, compliance_root, find_first_state, measure

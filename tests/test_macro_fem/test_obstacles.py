@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from homogenize import default_law
-from macro_fem import read_scene
+from macro_fem import read_scene, solve
 from macro_fem.curtain import ShapeOptions, solve_problem, solve_shape
-from macro_fem.job import solve
 from macro_fem.output.forces import obstacle_summary, pushes_of
 from macro_fem.scene.obstacles import Obstacle, PlacedObstacle
 from macro_fem.scene.reading import read_records

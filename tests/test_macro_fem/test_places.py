@@ -12,9 +12,7 @@ import skfem
 from click.testing import CliRunner
 
 import macro_fem
-from homogenize import default_law
-from homogenize.laws.net import diagonal_net
-from homogenize.laws.protocol import CellInfo
+from homogenize import default_law, diagonal_net
 from macro_fem import read_scene
 from macro_fem.cli import main
 from macro_fem.curtain import make_problem
@@ -26,6 +24,7 @@ from macro_fem.scene.loads import disk_areas
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.meshing.nodes import LEAST_SINE
 from rve.common import InputError
+from rve.geometry import CellInfo
 from tests.test_macro_fem.sheets import least_angle, solve_scene
 
 LAW = diagonal_net(1.1)

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from homogenize import default_law
-from macro_fem import read_scene
+from macro_fem import EveryRing, read_scene
 from macro_fem.cli import main
 from macro_fem.motion.files import account_error
 from macro_fem.motion.pace import COLUMNS
@@ -17,9 +17,8 @@ from macro_fem.motion.rings import MovingRings
 from macro_fem.motion.stage import TONNE
 from macro_fem.motion.step import Moment
 from macro_fem.output.images import parts
-from macro_fem.rings.every_ring import EveryRing
-from rve import slack_rings
 from rve.common import InputError
+from rve.finite import slack_rings
 from tests.films import film_of
 from tests.test_macro_fem.sheets import fallen, still_air
 

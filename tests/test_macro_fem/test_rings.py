@@ -4,23 +4,26 @@ import json
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 import macro_fem
+from homogenize import FitOptions, fit_table
 from macro_fem import read_scene
 from macro_fem.cli import main
 from macro_fem.rings.cost import memory_GB, ring_cost
 from macro_fem.rings.ring_scene import ring_scene
-from rve import Cell, InputError
+from macro_fem.scene.loads import ring_solidity
+from rve import Cell, DirectOptions, InputError, reference_cell, solidity
 
 B_X, B_Y = 11.0, 12.646069623526
 
 
-def scene(columns=3, rows=2, **tables):
-    curtain = {"width": columns * B_X, "height": rows * B_Y}
+def scene(columns=3, rows=2, sides=(B_X, B_Y), **tables):
+    curtain = {"width": columns * sides[0], "height": rows * sides[1]}
     return read_scene({"curtain": curtain, "mesh": {"cells": 8}, "support": {"kind": "corners"}} | tables)
 
 
@@ -53,6 +56,32 @@ def test_live_loads_and_edges_reach_the_rings():
     assert rings.force[middle, 0] == pytest.approx([0.0, 0.15, 0.15, 0.0])  # the pull is half-way between two rings
     count = {name: held.sum(axis=0).tolist() for name, held in rings.groups}
     assert count == {"top": [4, 4, 4], "edge left": [3, 0, 3]}
+
+
+def test_a_law_of_the_locked_reference_answers_to_rings_wind_and_every_ring():
+    """r1/r2 = 50, where the longest cell is 30 % narrower than that of rings side by side: each has its own scene of
+    the same rings between the same places. The table was written by version 0.2."""
+    data = Path(__file__).parents[1] / "test_homogenize" / "data" / "version_0_2"
+    law = fit_table(data / "table.csv", FitOptions("inner")).law
+    cell, locked = law.cell.cell(), DirectOptions(reference="locked")
+    beside = reference_cell(cell)
+    assert beside.b_y_mm > 1.4 * law.cell.b_y_mm
+
+    def hung(info, gather, **load):
+        return scene(4, 3, info.sides_mm, support={"kind": "top", "gather": gather}, **load)
+
+    answer = macro_fem.solve(hung(law.cell, 0.9, load={"wind": {"direction": [0, 0, 1], "speed": 8.0}}), law)
+    assert (answer.summary["order"]["weave"], answer.summary["reference_cell"]) == ("4-in-1", "locked")
+    field = answer.rings()  # the strains of an inner law are those of rings
+    assert field.summary["cells_by_status"] == {"met": len(field.states.E)}
+    assert field.summary["largest_strain_short"] < 1e-5
+    assert ring_solidity(law.cell) == pytest.approx(solidity(cell, locked), rel=1e-9)
+    assert ring_solidity(law.cell) > 1.3 * ring_solidity(beside)
+    scenes = (hung(law.cell, 0.9 * beside.b_x_mm / law.cell.b_x_mm), law), (hung(beside, 0.9), cell)
+    one, other = (macro_fem.solve(scene, macro_fem.EveryRing(rings, space=False)).summary for scene, rings in scenes)
+    assert one["largest_contact_force_N"] == pytest.approx(other["largest_contact_force_N"], rel=1e-6)
+    drop = [found["lowest_point_mm"] - 3 * info.b_y_mm for found, info in ((one, law.cell), (other, beside))]
+    assert drop[0] == pytest.approx(drop[1], abs=1e-6)
 
 
 def test_rings_writes_its_files_and_the_numbers_agree(tmp_path):

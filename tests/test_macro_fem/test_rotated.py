@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homogenize.io import default_law
+from homogenize import default_law
 from macro_fem.fem.hung_law import HungLaw
 
 ANGLES = [20.0, 90.0, 135.0]

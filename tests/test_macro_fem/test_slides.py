@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from homogenize.io import default_law
+from homogenize import default_law
 from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
 from rve.common import InputError

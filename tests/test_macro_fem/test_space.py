@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from homogenize.io import default_law
-from macro_fem import load_scene, read_scene
+from homogenize import default_law
+from macro_fem import compare, load_scene, read_scene, solve
 from macro_fem.curtain import gathered_start
-from macro_fem.job import compare, solve
 from macro_fem.output.files import features
 from macro_fem.scene.tables import HeldAxes
 from macro_fem.solvers.cones import green_strain

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from homogenize import ClothLaw
-from homogenize.io import default_law
+from homogenize import ClothLaw, default_law
 from macro_fem import read_scene
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
 from tests.test_macro_fem.sheets import sheet, solve_scene

@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homogenize.io import default_law
-from homogenize.laws.net import ring_net
-from homogenize.laws.protocol import CellInfo
+from homogenize import default_law, ring_net
 from macro_fem import read_scene
 from macro_fem.curtain import gathered_start, supports_reach
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.status import AT_LIMIT, FREE, Evidence, Reach, judged
 from macro_fem.solvers.stretch_limit import reach_of
+from rve.geometry import CellInfo
 from tests.test_macro_fem.sheets import posed, sheet, solve_scene
 
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)

@@ -5,10 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from macro_fem import read_scene
+from macro_fem import Track, read_scene
 from macro_fem.bounds.interval import bound
 from macro_fem.scene.meshing.edges import Line
-from macro_fem.scene.support_kinds import Track
 from tests.test_macro_fem.sheets import solve_scene
 
 from .conftest import STRETCH_X

@@ -5,8 +5,7 @@ import pytest
 
 import macro_fem
 import rve
-from homogenize.io import default_law
-from homogenize.laws.net import diagonal_net
+from homogenize import default_law, diagonal_net
 from macro_fem import read_scene
 from macro_fem.curtain import (
     P2_PARTS,

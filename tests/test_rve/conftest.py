@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
+from rve import Cell, solve_table
 from rve.directions import product
-from rve.geometry import Cell
-from rve.solve import solve_table
 
 
 @pytest.fixture(scope="session")

@@ -5,17 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rve import Cell, DirectOptions, grid, read_table, solve_table, support, with_rings, write_table
 from rve.common.tensor import WEIGHT, double_dot, dyad, mirror
-from rve.directions import grid
 from rve.equilibrium.dead_load import LoadedCell
-from rve.equilibrium.interior_point import DirectOptions
 from rve.equilibrium.mixtures import best_mixture, equal_shares
 from rve.equilibrium.system import Equations
-from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, Cell, deformation_gradient, second_pk
-from rve.solve import reference_sides, solve_table
-from rve.support_function import support
-from rve.table import read_table, write_table
-from rve.wire import with_rings
+from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, deformation_gradient, second_pk
+from rve.solve import reference_sides
 
 FIRST = DirectOptions(branches="first")
 

@@ -8,10 +8,10 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
-from homogenize.fitting.fit import fit_table
-from homogenize.fitting.rows import normality, rows_from_table
+from homogenize import fit_table
+from homogenize.fitting import normality, rows_from_table
+from rve import read_table
 from rve.cli import main
-from rve.table import read_table
 
 
 def run(*arguments):

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
+from rve import Cell, DirectOptions, solve_table
+from rve.equilibrium.interior_point import solve_equilibrium
 from rve.equilibrium.limits import with_limits
 from rve.equilibrium.system import Equations
-from rve.geometry import FOUR_IN_ONE, Cell, cauchy_line_load
+from rve.geometry import FOUR_IN_ONE, cauchy_line_load
 from rve.simulation import StewartTrinkleOptions
 from rve.simulation import simulate as come_to_rest
-from rve.solve import solve_table
 
 TEN = Equations.of(FOUR_IN_ONE, 0.1)
 

@@ -8,8 +8,9 @@ from scipy import sparse
 from scipy.optimize import minimize
 
 from benchmarks.every_ring.cell import edge_loaded
-from rve import Cell, FiniteMesh, FiniteOptions, HalfSpace, InputError, cell_of_sides
+from rve import WEAVES, Cell, FiniteMesh, InputError
 from rve.common.factor import Factorizer
+from rve.finite import FiniteOptions, HalfSpace, cell_of_sides
 from rve.finite.contacts import (
     MeshPose,
     find_mesh_contacts,
@@ -24,8 +25,8 @@ from rve.finite.contacts import (
 )
 from rve.finite.newton import METRIC, NewtonSystem, blocks, forces_that_stop, gradients, negative_part, rows_of, spread
 from rve.finite.problem import Iterate, ScaledProblem
-from rve.geometry import WEAVES, tangent_frame
-from rve.plots import ALONG
+from rve.geometry import tangent_frame
+from rve.placed.drawn import ALONG
 
 G = 9.81
 

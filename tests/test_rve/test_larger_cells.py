@@ -7,29 +7,17 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from rve import WEAVES, Cell, DirectOptions, solve_table, support, with_rings
 from rve.cli import main
 from rve.common.tensor import WEIGHT, double_dot
 from rve.directions import product
 from rve.equilibrium.dead_load import DeadLoad
-from rve.equilibrium.interior_point import DirectOptions, unit_loads
+from rve.equilibrium.interior_point import unit_loads
 from rve.equilibrium.largest_work import UNSTABLE, in_cell
 from rve.equilibrium.limits import balanced, loose_motions
 from rve.equilibrium.system import Equations
-from rve.geometry import (
-    SIX_IN_ONE,
-    WEAVES,
-    Cell,
-    moved,
-    start_pose,
-    strain_of,
-    supercell,
-    tiled,
-    unlisted_gap,
-    weave_sides,
-)
-from rve.solve import reference_sides, solve_table
-from rve.support_function import support
-from rve.wire import with_rings
+from rve.geometry import SIX_IN_ONE, moved, start_pose, strain_of, supercell, tiled, unlisted_gap, weave_sides
+from rve.solve import reference_sides
 
 LOADS = np.array([[0.9, 0.05, 0.1], [0.6, 0.2, 0.4], [0.2, -0.1, 0.8]])
 THIN = Cell(5.0, 0.25, SIX_IN_ONE)

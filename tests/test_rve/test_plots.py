@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from rve import Cell, solve_table
 from rve.cli import main
-from rve.geometry import Cell, cauchy_line_load
+from rve.geometry import cauchy_line_load
 from rve.plots import corner_forces
-from rve.solve import solve_table
 
 
 @pytest.fixture(scope="module", params=["y", "x"])

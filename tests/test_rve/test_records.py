@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from rve import StrainTable, solve_table
+from rve import Cell, StrainTable, solve_table, with_rings
 from rve.common import Rows
 from rve.equilibrium.interior_point import solve_equilibrium
 from rve.equilibrium.system import Equations
-from rve.geometry import FOUR_IN_ONE, Cell, cauchy_line_load, start_pose
-from rve.wire import with_rings
+from rve.geometry import FOUR_IN_ONE, cauchy_line_load, start_pose
 
 
 def frozen(record):

@@ -5,15 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rve import Cell, DirectOptions, solve_table, with_rings
 from rve.common.materials import Material, named_material
 from rve.common.tensor import trace
-from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
+from rve.equilibrium.interior_point import solve_equilibrium
 from rve.equilibrium.limits import with_limits
 from rve.equilibrium.system import Equations
-from rve.geometry import FOUR_IN_ONE, Cell, cauchy_line_load, deformation, green_lagrange, second_pk, tangent_frame
+from rve.geometry import FOUR_IN_ONE, cauchy_line_load, deformation, green_lagrange, second_pk, tangent_frame
 from rve.placed import central_forces
-from rve.solve import locked_block, reference_sides, solve_table
-from rve.wire import Ring, out_of_plane_inertia, peak_stress, ring_states, shear_factor, with_rings
+from rve.solve import locked_block, reference_sides
+from rve.wire import Ring, out_of_plane_inertia, peak_stress, ring_states, shear_factor
 from rve.wire.cell_stiffness import contact_ends, contact_flexibility, elastic_forces
 
 from .frame import frame_flexibility
@@ -213,7 +214,7 @@ def test_table_columns_follow_material_size_and_grain():
     assert turned.strength[0] == pytest.approx(one.strength[0], rel=1e-6)
     swapped = one.compliance[0][::-1, ::-1]
     assert turned.compliance[0] == pytest.approx(swapped, rel=1e-5, abs=1e-9)
-    assert one.provenance["material"]["name"] == "steel"
+    assert one.cell.material.name == "steel"
     assert Cell(material=titanium).density == pytest.approx(4.51e-6)
 
 
@@ -223,7 +224,7 @@ def jointed(name, loads=((0.0, 20.0, 20.0), (90.0, 30.0, 60.0))):
 
 def test_butted_rings_are_weaker_softer_and_worst_at_the_worst_angle():
     welded, worst = jointed("welded"), jointed("butted")
-    assert (worst.provenance["joint"], welded.provenance["joint"]) == ("butted:worst", "welded")
+    assert (worst.joint, welded.joint) == ("butted:worst", "welded")
     assert (worst.strength > 2.0 * welded.strength).all()
 
     def along(table):

@@ -6,8 +6,8 @@ from scipy.optimize import linprog
 
 from rve import Material, pulled_ring
 from rve.common import InputError, NotConverged
-from rve.wire import Ring, internal_forces, plastic_collapse, self_stress
-from rve.wire.strength import BENDING, TORSION, StrengthOptions, checked_sections, largest_factors
+from rve.wire import Ring, StrengthOptions, internal_forces, plastic_collapse, self_stress
+from rve.wire.strength import BENDING, TORSION, checked_sections, largest_factors
 
 from .frame import random_load
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import rve
-from rve.equilibrium.interior_point import DirectOptions
+from rve import DirectOptions
 from rve.geometry import Pose
 from rve.solve import reference_pose
 from rve.wire import shadow

@@ -5,16 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rve import WEAVES, Cell, DirectOptions, grid, read_table, solve_table, support, with_rings
 from rve.common import InputError, NotConverged
-from rve.directions import grid
-from rve.equilibrium.interior_point import DirectOptions
 from rve.equilibrium.system import Equations
-from rve.geometry import FOUR_IN_ONE, WEAVES, Cell, cauchy_line_load, supercell, tiled, unlisted_gap
+from rve.geometry import FOUR_IN_ONE, cauchy_line_load, supercell, tiled, unlisted_gap
 from rve.placed import central_forces, largest_forces
-from rve.solve import locked_states, solve_table
-from rve.support_function import support
-from rve.table import read_table
-from rve.wire import with_rings
+from rve.solve import locked_states
 
 LOADS = np.array([20.0, 45.0, 10.0, 25.0]), np.array([30.0, 60.0, 95.0, 0.0])
 

@@ -6,8 +6,8 @@ import json
 import numpy as np
 import pytest
 
+from rve import grid
 from rve.common import heard_by
-from rve.directions import grid
 from rve.geometry import FOUR_IN_ONE
 from rve.simulation import ROUND_OFF, StewartTrinkleOptions, copies, study
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from rve import WEAVES
 from rve.equilibrium.steps import carry_forces
 from rve.equilibrium.system import Equations, lattice_load
 from rve.geometry import (
     FOUR_IN_ONE,
-    WEAVES,
     cauchy_line_load,
     deformation_gradient,
     find_contacts,

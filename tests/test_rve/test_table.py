@@ -6,11 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from rve import Cell, graded_grid, read_table, solve_table, write_table
 from rve.common import InputError, sidecar_path
-from rve.directions import graded_grid, parse_angles, product, read_loads
-from rve.geometry import Cell
-from rve.solve import solve_table
-from rve.table import COLUMNS, read_table, write_table
+from rve.directions import parse_angles, product, read_loads
+from rve.table import COLUMNS
 
 
 @pytest.fixture(scope="module")

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
+from rve import WEAVES, Cell, DirectOptions, solve_table
 from rve.common import InputError
-from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
+from rve.equilibrium.interior_point import solve_equilibrium
 from rve.equilibrium.system import Equations
 from rve.geometry import (
     FOUR_IN_ONE,
     SIX_IN_ONE,
-    WEAVES,
-    Cell,
     cauchy_line_load,
     distance_gradient,
     find_contacts,
@@ -23,7 +22,6 @@ from rve.geometry import (
     start_pose,
     supercell,
 )
-from rve.solve import solve_table
 
 
 @pytest.mark.parametrize("name", WEAVES)

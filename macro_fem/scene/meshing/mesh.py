@@ -14,7 +14,6 @@ import shapely
 import skfem
 from scipy.spatial import Delaunay, cKDTree
 
-from homogenize import CellInfo
 from macro_fem.fem.cells import counterclockwise, signed_areas
 from macro_fem.fem.discretization import Discretization
 from macro_fem.scene.meshing.edges import Border, border_of, facets_between, in_order, inherited_edges
@@ -28,6 +27,7 @@ from macro_fem.scene.tables import PatchLoad, PointLoad
 from rve.common import Array, InputError, shown
 from rve.common.records import Index
 from rve.common.typed import did_you_mean
+from rve.geometry import CellInfo
 
 MAX_LATTICE = 8_000_000
 """Lattice points in the box, turned with the weave, around the outline: 0.5 GB while they are chosen from."""

@@ -11,16 +11,18 @@ from pathlib import Path
 import numpy as np
 
 from homogenize.fitting.bounds import inner_law, outer_law
-from homogenize.fitting.fit import cell_of, stiffness_of
-from homogenize.fitting.rows import LockedRows, rows_from_provenance, rows_from_table, with_mirror
+from homogenize.fitting.rows import rows_from_table
+from homogenize.fitting.table import cell_of, stiffness_of
 from homogenize.io import DEFAULT_LAW, load_law
 from homogenize.laws.geometry import highest
 from homogenize.laws.polyhedral import PolyhedralLaw
-from homogenize.laws.protocol import CellInfo, MembraneLaw
+from homogenize.laws.protocol import MembraneLaw
+from homogenize.laws.rows import LockedRows, with_mirror
 from homogenize.laws.stored import StoredLaw
-from homogenize.strength import Strength, strength_of_table
+from homogenize.laws.strength import Strength, strength_of_table
 from rve import read_table
 from rve.common import Array, InputError, checked
+from rve.geometry import CellInfo
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +65,8 @@ def law_interval(
     found = replace(rows, h=np.maximum(rows.h, highest(rows.S, with_mirror(rows).E)))
     inner = replace(inner_law(found, stiffness, cell), strength=strength)
     outer = outer_law(found, stiffness, cell)
+    if isinstance(law, StoredLaw):
+        inner, outer = (replace(one, stiffness_is_measured=law.stiffness_is_measured) for one in (inner, outer))
     return LawInterval(inner, inner if law is None else law, outer, found, float((found.h - rows.h).max()))
 
 
@@ -91,10 +95,7 @@ def interval_of_table(path: str | Path) -> LawInterval:
 
 
 def interval_of_law(law: StoredLaw, source: str) -> LawInterval | None:
-    """The interval of a law fitted to the rows in its provenance; None for a law without rows or not between them.
-
-    InputError names `source` if the rows are none.
-    """
-    if not isinstance(law, PolyhedralLaw) or (rows := rows_from_provenance(law.provenance, source)) is None:
+    """The interval of a law fitted to rows, from the file `source`; None for a law without rows or not between them."""
+    if not isinstance(law, PolyhedralLaw) or law.rows is None:
         return None
-    return replace(law_interval(rows, law, law.stiffness, law.cell, law.strength), source=source)
+    return replace(law_interval(law.rows, law, law.stiffness, law.cell, law.strength), source=source)

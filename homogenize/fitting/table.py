@@ -3,14 +3,14 @@
 Rings that give make the locked strain depend on the size of the load, E = dh/dS + A S. The compliance D = dE/dS of a
 row holds both: the bend of the locking surface, none along S because h is homogeneous of degree one, and A. So S:D S =
 S:A S, and one positive definite A with the symmetry of the weave is fitted to these. The strength of the law keeps S:D
-S of every direction (`homogenize.strength`), of which `homogenize.laws.giving` makes the law of elastic curtains.
+S of every direction (`homogenize.laws.strength`), of which `homogenize.laws.giving` makes the law of elastic curtains.
 """
 
 from __future__ import annotations
 
 import platform
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -21,18 +21,19 @@ from homogenize.directions import each_once, hull_of
 from homogenize.fitting.bounds import inner_law, outer_law
 from homogenize.fitting.refine import RESOLUTION, Resolution, refined_half_spaces
 from homogenize.fitting.report import error_report
-from homogenize.fitting.rows import NORMALITY_TOLERANCE, LockedRows, normality, rows_from_table, rows_to_dict
+from homogenize.fitting.rows import NORMALITY_TOLERANCE, normality, rows_from_table
 from homogenize.laws.giving import constant_compliance, work_along
-from homogenize.laws.net import STATED_STIFFNESS, ring_cell, ring_net
+from homogenize.laws.net import STATED_STIFFNESS, ring_net
 from homogenize.laws.polyhedral import PolyhedralLaw, giving_law, polyhedral_law
-from homogenize.laws.protocol import CellInfo, MembraneLaw
+from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.report import ErrorReport
+from homogenize.laws.rows import LockedRows
 from homogenize.laws.stored import StoredLaw
-from homogenize.strength import strength_of_table
+from homogenize.laws.strength import strength_of_table
 from rve import StrainTable
 from rve.common import Array, InputError, Typed, checked, checksum
-from rve.common.cell_fields import STEEL_KG_PER_MM3, check_rings
 from rve.common.tensor import disc, trace
+from rve.geometry import CellInfo, read_cell_info
 
 STATED_LOAD = 1.0
 """Size S11 + S22 in N/mm of the line load at which the compliance of elastic curtains is compared with the rows'."""
@@ -58,7 +59,7 @@ class FitOptions(Typed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FitResult:
-    """The law and what is known of its error. The law carries its report and provenance into its file."""
+    """The law and what is known of its error, which the law carries into its file."""
 
     law: StoredLaw
     report: ErrorReport
@@ -110,28 +111,27 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
         "inner": lambda some: inner_law(some, stiffness, cell),
         "net": lambda _: ring_net(cell),
     }[options.kind]
-    law = replace(build(rows), strength=strength_of_table(table))
+    law = replace(build(rows), strength=strength_of_table(table), rows=rows)
     provenance = {
         "kind": options.kind,
         "rows": len(rows),
         "stiffness": origin,
         "stiffness_by_direction": stiffness_by_direction(law),
-        "table_rows": rows_to_dict(rows),
-        "table_provenance": dict(table.provenance),
+        "table_provenance": table.record,
         "python": platform.python_version(),
         "numpy": np.__version__,
     }
     report = replace(error_report(law, rows, found, None if options.kind == "net" else build), kind=options.kind)
-    return FitResult(replace(law, provenance=provenance | {"report": asdict(report)}), report)
+    return FitResult(replace(law, provenance=provenance, report=report), report)
 
 
-def stiffness_of(table: StrainTable) -> tuple[Array, str]:
-    """Stiffness (3, 3) in tensor components, N/mm, and where it comes from: the table's compliance, or stated.
+def stiffness_of(table: StrainTable) -> tuple[Array | None, str]:
+    """Stiffness (3, 3) in tensor components, N/mm, by the table's compliance, None without; and its origin in words.
 
     InputError if the table has a compliance but no row with a finite positive S:D S.
     """
     if table.compliance is None:
-        return STATED_STIFFNESS * np.eye(3), f"stated: {STATED_STIFFNESS:g} N/mm for every strain, not from the table"
+        return None, f"stated: {STATED_STIFFNESS:g} N/mm for every strain, not from the table"
     work = work_along(table.S, table.compliance)
     known = np.flatnonzero(table.converged & table.unique & np.isfinite(work) & (work > 0.0))
     if not len(known):
@@ -155,15 +155,5 @@ def stiffness_by_direction(law: MembraneLaw) -> str | None:
 
 @checked
 def cell_of(table: StrainTable) -> CellInfo:
-    """Radii, reference cell and areal mass of a table; InputError names a missing or impossible entry of its sidecar.
-
-    Without an areal mass the cell is that of the 4-in-1 weave with the sidecar's density, or of steel.
-    """
-    where, sizes = "the sidecar file of the table:", ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm")
-    known = check_rings(table.provenance, where)
-    for key in sizes:
-        if key not in known:
-            raise InputError(f"{where} {key}: is missing")
-    r1, r2, b_x, b_y = (known[key] for key in sizes)
-    cell = ring_cell(r1, r2, b_x, b_y, known.get("density_kg_per_mm3", STEEL_KG_PER_MM3))
-    return replace(cell, areal_mass_kg_per_m2=known.get("areal_mass_kg_per_m2", cell.areal_mass_kg_per_m2))
+    """The rings of a table and their reference cell; InputError names what its sidecar does not tell of them."""
+    return read_cell_info(table.provenance, "the sidecar file of the table:") if table.cell is None else table.cell

@@ -176,8 +176,8 @@ def strength_of_table(table: StrainTable) -> Strength | None:
     """
     if table.strength is None or table.compliance is None:
         return None
-    where = "the sidecar file of the table:"
-    material = read_typed(Material, read_entry(table.provenance, "material", dict, where), f"{where} material")
+    if table.cell is None or table.cell.material is None:
+        raise InputError("the sidecar file of the table: material: is missing")
     size = trace(table.S)
     good = np.flatnonzero(table.converged & np.isfinite(table.strength).all(axis=1) & (size > 0.0))
     key = np.column_stack([table.alpha_deg, table.beta_deg, table.S])[good]
@@ -186,9 +186,8 @@ def strength_of_table(table: StrainTable) -> Strength | None:
     along = np.einsum("ni,nij,nj->n", S * WEIGHT, table.compliance[good], S)
     s = cauchy_line_load(table.alpha_deg[good], table.beta_deg[good])
     s = s / trace(s)[:, None]
-    joint = Joint.of(table.provenance.get("joint", "welded"), f"{where} joint").name
-    first, last = table.strength[good].T
-    found = Strength(S, s, first, last, along, material, joint=joint, is_mirrored=table.is_mirrored)
+    (first, last), joint = table.strength[good].T, table.joint or "welded"
+    found = Strength(S, s, first, last, along, table.cell.material, joint=joint, is_mirrored=table.is_mirrored)
     return replace(found, error=off_grid(found))
 
 

@@ -1,0 +1,2 @@
+from .umat import umat_source as umat_source
+from .umat import write_umat as write_umat

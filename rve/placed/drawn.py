@@ -1,0 +1,140 @@
+"""Pictures of many rings, in the plane and in space, also as files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.common import Array
+from rve.common.drawing import space
+from rve.common.drawing.plane import Scale, new_axes, round_top
+from rve.common.files import write_mesh_file
+from rve.common.optional import Axes, Plotter
+from rve.geometry.ring_pair import tangent_frame
+
+ALONG, AROUND = 24, 8
+"""Points along and around the wire of a ring in files: lines of 100,000 rings stay below 60 MB."""
+LEAST = 3e-3
+"""The scale of contact forces begins at this part of its top end."""
+MOST_FINE, MOST_TUBES, MOST_POINTS = 200, 1000, 300_000
+"""Of a view these numbers of rings are fine tori, and coarse ones; more are lines with this many points together."""
+NO_FORCE = "#808890"
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnRings:
+    """Rings to draw: centre (n, 3) in mm, unit normal (n, 3), radii r1 and r2 in mm, and the force (n,) in N by which
+    they are coloured; None for grey rings. balls: names, centres (3,) and radii in mm of balls beside them."""
+
+    centre: Array
+    normal: Array
+    r1: float
+    r2: float
+    force: Array | None = None
+    balls: tuple[tuple[str, Array, float], ...] = ()
+
+    def circles(self, count: int) -> tuple[Array, Array]:
+        """Points (n, count, 3) of the centre circles, and the unit vectors from the centre to them."""
+        e1, e2 = tangent_frame(self.normal)
+        t = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)[None, :, None]
+        out = np.cos(t) * e1[:, None] + np.sin(t) * e2[:, None]
+        return self.centre[:, None] + self.r1 * out, out
+
+    def closed_circles(self, count: int) -> Array:
+        """Points (n, count + 1, 3) of the centre circles, the last one that of the beginning."""
+        return self.circles(count)[0][:, [*range(count), 0]]
+
+    def tubes(self, along: int, around: int) -> tuple[Array, NDArray[np.intp]]:
+        """Points (p, 3) and quadrilaterals (n, along * around, 4) of tori."""
+        line, out = self.circles(along)
+        v = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)[:, None]
+        points = line[:, :, None] + self.r2 * (np.cos(v) * out[:, :, None] + np.sin(v) * self.normal[:, None, None])
+        here = np.arange(along)[:, None] * around + np.arange(around)
+        ahead = np.roll(here, -1, axis=0)
+        quads = np.stack([here, ahead, np.roll(ahead, -1, axis=1), np.roll(here, -1, axis=1)], axis=2).reshape(-1, 4)
+        first = along * around * np.arange(len(self.centre))
+        return points.reshape(-1, 3), quads[None] + first[:, None, None]
+
+    def write_vtu(self, path: Path, data: Mapping[str, Array], *, tubes: bool = False, real: type = np.float32) -> None:
+        """A VTU of the centre circles, each a line of `ALONG` cells, or of the tori, by meshio.
+
+        data: numbers per ring (n,) or (n, w), which each cell of a ring has; real: type of numbers that are not whole.
+        """
+        import meshio
+
+        points, cells = self.tubes(ALONG, AROUND)
+        if not tubes:
+            points, here = self.circles(ALONG)[0].reshape(-1, 3), np.arange(len(self.centre) * ALONG).reshape(-1, ALONG)
+            cells = np.stack([here, np.roll(here, -1, axis=1)], axis=2)
+        each: dict[str, list[NDArray[Any]]] = {}
+        for name, values in data.items():
+            kind = np.int32 if np.issubdtype(np.asarray(values).dtype, np.integer) else real
+            each[name] = [np.repeat(np.asarray(values, kind), cells.shape[1], axis=0)]
+        blocks = [("quad" if tubes else "line", cells.reshape(-1, cells.shape[2]).astype(np.int32))]
+        write_mesh_file(path, meshio.Mesh(points.astype(real), blocks, cell_data=each))
+
+    def write_stl(self, path: Path, along: int = 48, around: int = 16) -> None:
+        """A binary STL of the tori, closed surfaces of triangles whose normals point outwards, by meshio."""
+        import meshio
+
+        points, quads = self.tubes(along, around)
+        triangles = quads[..., [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+        meshio.write(path, meshio.Mesh(points, [("triangle", triangles)]), file_format="stl", binary=True)
+
+    def plot(self, ax: Axes | None = None, *, width: float = 0.7, series: Sequence[DrawnRings] = ()) -> Axes:
+        """Centre lines of the rings seen along z, on `ax` or axes of their own; series: as of `draw`."""
+        ax = new_axes(7.0, 6.0) if ax is None else ax
+        from matplotlib.collections import LineCollection
+        from matplotlib.patches import Circle
+
+        grey = "0.5" if self.force is None else None  # any colour that is given would hide those of the forces
+        drawn = LineCollection(list(self.closed_circles(ALONG)[:, :, :2]), linewidths=width, colors=grey)
+        if self.force is not None:
+            scale = force_scale(series or (self,))
+            drawn.set(array=np.maximum(self.force, scale.low), cmap=scale.colour_map(), norm=scale.norm())
+            scale.add_bar(ax, shrink=0.75, pad=0.02)
+        ax.add_collection(drawn)
+        for _, centre, radius in self.balls:
+            ax.add_patch(Circle((centre[0], centre[1]), radius, color=space.BODY, alpha=space.BODY_OPACITY))
+        ax.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", title=f"{len(self.centre)} rings")
+        ax.autoscale_view()
+        return ax
+
+    def draw(self, plotter: Plotter | None = None, series: Sequence[DrawnRings] = ()) -> Plotter:
+        """Draw the rings in space: tori where there are few, else centre lines. The plotter, by default a new one.
+
+        series: the rings at several moments, which share colours and camera.
+        """
+        plotter = space.new_plotter() if plotter is None else plotter
+        count = len(self.centre)
+        if count <= MOST_TUBES:
+            points, quads = self.tubes(*((36, 12) if count <= MOST_FINE else (20, 6)))
+            mesh = space.surface(points, quads.reshape(-1, 4))
+        else:
+            mesh = space.lines(self.closed_circles(int(np.clip(MOST_POINTS // count, 8, ALONG))))
+        colours: str | Scale = NO_FORCE
+        if self.force is not None:
+            colours = force_scale(series or (self,))
+            mesh[colours.label] = np.repeat(self.force, mesh.n_points // count)
+        space.add(plotter, "rings", mesh, colours, line_width=2)
+        for name, centre, radius in self.balls:
+            space.add(plotter, name, space.balls(centre, radius, 64), space.BODY, opacity=space.BODY_OPACITY)
+        box = None
+        if series:
+            places = np.concatenate([rings.centre for rings in series])
+            box = np.stack([places.min(axis=0) - self.r1, places.max(axis=0) + self.r1])
+        space.look(plotter, space.THREE_QUARTERS, box=box)
+        return plotter
+
+
+def force_scale(rings: Sequence[DrawnRings]) -> Scale:
+    """Colours of contact forces in N by their logarithm; 0.2 % of the rings are above its round top end."""
+    force = np.concatenate([part.force for part in rings if part.force is not None])
+    largest = float(force.max(initial=0.0))
+    top = round_top(max(float(np.quantile(force, 0.998)), 1e-12), largest)
+    return Scale("largest contact force on the ring, N", LEAST * top, top, largest, "log")
