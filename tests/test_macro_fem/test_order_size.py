@@ -13,7 +13,7 @@ import macro_fem
 from homogenize import fit
 from macro_fem import Bar, Combination, Corners, EdgeLoad, Hooks, Load, Mesh, Outline, Rectangle, Scene, Wind, solve
 from macro_fem.cli import main
-from macro_fem.output.forces import _loads
+from macro_fem.output.forces import loads_in_words
 from macro_fem.output.told import envelope as envelope_of
 from macro_fem.output.told import governing_line, lean_note
 from macro_fem.report import _sections, write_report
@@ -356,7 +356,10 @@ def test_the_report_is_two_pages_or_more_where_tables_are_long(tmp_path):
     loads = f"bar of 2 kg on bottom, {wind}, (0, -9) N at (50, 40) (radius 8 mm), (0.5, 0) N/mm on left"
     thrust = macro_fem.PatchLoad((50.0, 40.0), 8.0, (0.0, -9.0))
     blown = hung(EdgeLoad("left", (0.5, 0.0)), Wind((0.0, 0.0, 1.0), speed=8.0, follows=True), thrust)
-    assert [_loads(one) for one in (blown, replace(blown, load=Load(gravity=0.0)))] == [f"weight, {loads}", loads]
+    assert [loads_in_words(one) for one in (blown, replace(blown, load=Load(gravity=0.0)))] == [
+        f"weight, {loads}",
+        loads,
+    ]
     told = {head: list(lines) for head, lines, _ in _sections(summary, [])}
     rows = [line.split("  ")[0] for line in told["Forces of supports without partial factors"]]
     assert rows == ["support", "hook 1", "hook 2", "hook 3", "hook 4"]
