@@ -91,9 +91,8 @@ def measure(full: bool) -> Section:
     still = sum(row["_change"] <= UNCHANGED and 0.95 < row["_time"] < 1.05 for row in rows)
     text = (
         "Each field at half and at twice its value, the others as they are: the largest relative change of an answer, "
-        "or how it then ends, and the time over that of the value itself. Answers: " + "; ".join(
-            f"`{name}`: {problem.__doc__}" for name, problem in PROBLEMS.items()
-        )
+        "or how it then ends, and the time over that of the value itself. Answers: "
+        + "; ".join(f"`{name}`: {problem.__doc__}" for name, problem in PROBLEMS.items())
     )
     note = f"{still} of {len(rows)} fields change neither an answer by 1e-9 nor the time by 5 % on these problems."
     return Section("Numbers that steer solvers", text, (table("", rows),), (), note)
@@ -102,7 +101,9 @@ def measure(full: bool) -> Section:
 def records() -> list[type]:
     """Classes of options of which there are instances in use, by module and name."""
     found = {type(one) for one in gc.get_objects() if is_dataclass(type(one)) and not isinstance(one, type)}
-    named = [cls for cls in found if cls.__name__.endswith(("Options", "Method")) and not cls.__module__.startswith("tests")]
+    named = [
+        cls for cls in found if cls.__name__.endswith(("Options", "Method")) and not cls.__module__.startswith("tests")
+    ]
     return sorted(named, key=lambda cls: (cls.__module__, cls.__name__))
 
 
@@ -120,7 +121,11 @@ def rows_of(cls: Any) -> Iterator[Row]:
             with set_to(cls, item.name, value):
                 try:
                     got, seconds = least_seconds(PROBLEMS[name], 1)
-                    away = float(np.nanmax(np.abs(got - right)) / np.nanmax(np.abs(right))) if got.shape == right.shape else np.inf
+                    away = (
+                        float(np.nanmax(np.abs(got - right)) / np.nanmax(np.abs(right)))
+                        if got.shape == right.shape
+                        else np.inf
+                    )
                     row |= {word: decade(away, UNCHANGED), f"time, {word}": seconds / usual}
                     change, ratio = max(change, away), max(ratio, seconds / usual, usual / seconds)
                 except (InputError, NotConverged, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:

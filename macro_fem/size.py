@@ -23,7 +23,7 @@ from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.sites import Hanging
-from macro_fem.trials import MAY_GOVERN, VARIED, Row, Sought, Trials, Who
+from macro_fem.trials import VARIED, Row, Sought, Trials, Who
 from rve.common import Array, InputError, checked, csv_text, digits, job, noted_if_stopped, shown, write_text
 from rve.common.commands.sweeps import side_by_side
 from rve.common.drawing.plane import BLUE, VERMILION, new_axes, save_figure
@@ -37,6 +37,9 @@ NEAR = 20.0
 """An answer this many widths from where the curve crosses says where, well enough to try both sides of the place."""
 LARGE, LEAST_COARSE = 48, 16
 """Cells along the width from which a coarser mesh guides the search, and the fewest of that mesh."""
+CLEAR = 1.25
+"""Share by which a factor on the coarser mesh must be less than the one asked for to tell that a value does not hold.
+Larger: fewer values are told; smaller: errors of that mesh are told as values that do not hold."""
 KEPT = ".size"
 """Folder of answers inside that of the result."""
 RINGS_NOT_JUDGED = (
@@ -159,7 +162,9 @@ def _curve(known: Sequence[tuple[float, float]], span: Range, guide: Uses | None
     coarse = sorted((span.way(value), log) for value, log in (guide or {}).items() if log < math.inf)
 
     def shape(at: Array) -> Array:
-        return np.interp(at, *np.transpose(coarse)) if coarse else at
+        if len(coarse) < 2:
+            return at
+        return np.asarray(PchipInterpolator(*np.transpose(coarse))(np.clip(at, coarse[0][0], coarse[-1][0])))
 
     place, log = np.transpose(known)
     shift = log - shape(place)
@@ -230,7 +235,7 @@ class Size:
         one."""
         sign, most = -1.0 if self.vary == "r2" else 1.0, self.factor_asked
         rows = [row for row in self.curve if (row.factor or 0.0) < most]
-        rows += [row for row in self.estimates if MAY_GOVERN * (row.factor or 0.0) < most]
+        rows += [row for row in self.estimates if CLEAR * (row.factor or 0.0) < most]
         return [row for row in rows if self.value is not None and sign * row.value < sign * self.value]
 
     @checked

@@ -37,7 +37,7 @@ VARIED: dict[str, tuple[str, str, Callable[[Item], bool]]] = {
     "r2": ("mm", "wire of rings", lambda item: False),
 }
 """What may be varied: its unit, and what of a scene has it."""
-MAY_GOVERN = 1.25
+MAY_GOVERN = 1.1
 """A combination whose factor was this many times the least one, at the nearest value where it is known, is not solved.
 Larger: more are; smaller: more of them turn out to govern at the end, and the search goes on."""
 TICK_S = 1.0

@@ -84,6 +84,7 @@ class Nearby:
         self.radius = float(np.sqrt(area / np.pi))
         self.whole = float(np.abs(signed_areas(self.corners)).sum())
         self.tree = cKDTree(self.middle)
+        self._means: dict[int, Array] = {}  # at the points, which first yield and collapse ask for
 
     @cached_property
     def bound(self) -> Array:
@@ -102,7 +103,9 @@ class Nearby:
         for i in order:
             if bound[i] * (1.0 + ALIKE) <= best.value:
                 break
-            mean = self.mean(self.points[i])
+            if i not in self._means:
+                self._means[i] = self.mean(self.points[i])
+            mean = self._means[i]
             found = float(value(mean[None])[0])
             if found > (1.0 + ALIKE) * best.value:
                 best = Extreme(found, self.points[i], mean)

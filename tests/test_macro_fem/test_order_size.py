@@ -13,9 +13,9 @@ import macro_fem
 from homogenize import fit
 from macro_fem import Bar, Combination, Corners, EdgeLoad, Hooks, Load, Mesh, Outline, Rectangle, Scene, Wind, solve
 from macro_fem.cli import main
-from macro_fem.output.forces import _loads
+from macro_fem.output.forces import loads_in_words
 from macro_fem.output.told import envelope as envelope_of
-from macro_fem.output.told import governing_line
+from macro_fem.output.told import governing_line, lean_note
 from macro_fem.report import _sections, write_report
 from macro_fem.size import Range, find_size, search
 from macro_fem.trials import Sought, answer_of
@@ -76,6 +76,61 @@ def test_factors_scale_forces_of_a_shape_that_stays():
     both = envelope_of([(factors[0], summary | {"weakest_factor": None}), (factors[1], other)])
     assert both["envelope"]["governing"] == "light"  # the other is as without load
     assert [row["combination"] for row in both["envelope"]["support_forces"]] == ["all", "all", "light"]
+
+
+def test_tables_of_results_hold_what_governs_and_not_the_loads_as_they_are(tmp_path):
+    """sweep.csv says of a curtain that holds without factors what `run` says with them; one without has its own."""
+    scene = "curtain = {width = 330.0, height = 252.9}\nmesh = {cells = 3}\nsupport = {kind = 'corners'}\n"
+    scene += "load = {bar = {mass = 1.5}}\n"
+    (tmp_path / "plain.toml").write_text(scene)
+    (tmp_path / "both.toml").write_text(scene + "combination = [{name = 'a', bar = 0.5}, {name = 'b', bar = 1.5}]\n")
+    names = "both", "plain"
+    run("macro_fem", "sweep", *(tmp_path / f"{name}.toml" for name in names), "--out", tmp_path, "--", "--no-picture")
+    both, plain = (json.loads((tmp_path / name / "summary.json").read_text()) for name in names)
+    rows = pd.read_csv(tmp_path / "sweep.csv").set_index("name")
+    under = {row["name"]: row["weakest_factor"] for row in both["combinations"]}
+    assert both["weakest_factor"] == pytest.approx(plain["weakest_factor"], rel=1e-9)
+    assert under["b"] < both["weakest_factor"] < under["a"]
+    assert rows["governing_factor"].to_dict() == pytest.approx({"both": under["b"], "plain": plain["weakest_factor"]})
+    assert rows["governing_combination"].fillna("").to_dict() == {"both": "b", "plain": ""}
+    assert rows["holds"].to_dict() == {"both": under["b"] >= 1.0, "plain": plain["weakest_factor"] >= 1.0}
+
+
+def test_forces_of_single_hooks_that_change_with_the_mesh_are_told_with_both():
+    """The hook whose force changes most, of those that bear, between this mesh and cells twice as large."""
+    sheet = Rectangle(60.0, 60.0, weave_angle=45.0)
+    items = Hooks(pitch=15.0, gather=0.95), Bar(mass=1.0, straight=False)
+    fine, coarse = (solve(Scene(sheet, items, Mesh(cells=cells))).summary for cells in (8, 4))
+    points = [one["support_forces"][0]["points"] for one in (fine, coarse)]
+    force = [{point["point"]: np.linalg.norm(point["force_N"]) for point in one} for one in points]
+    most = [max(one.values()) for one in force]
+    ratio = {hook: max(a, force[1][hook]) / min(a, force[1][hook]) for hook, a in force[0].items()}
+    name = max((hook for hook in ratio if max(one[hook] for one in force) > 0.02 * most[0]), key=ratio.__getitem__)
+    assert ratio[name] > 1.2
+    told, both = fine["single_forces_note"], [one[name] for one in force]
+    assert f"{name} bears {both[0]:.3g} N, on cells twice as large {both[1]:.3g} N, {ratio[name]:.2g} times; " in told
+    assert f"the largest force is {most[0]:.3g} N, there {most[1]:.3g} N" in told
+
+
+@pytest.mark.parametrize("angle", [30.0, -30.0])
+def test_a_curtain_that_leans_says_how_far_and_to_which_side(angle):
+    """The mean place of its lower end, beside that of its upper one."""
+    scene = Scene(Rectangle(60.0, 120.0, weave_angle=angle), [macro_fem.Top(), Bar(mass=1.0, straight=False)], Mesh(4))
+    answer = solve(scene)
+    nodes, x = answer.solution.problem.disc.nodes, answer.solution.x[:, 0]
+
+    def mean(y):
+        row = np.flatnonzero(nodes[:, 1] == y)
+        row = row[np.argsort(nodes[row, 0])]
+        return np.trapezoid(x[row], nodes[row, 0]) / 60.0
+
+    lean = mean(0.0) - mean(120.0)
+    assert (abs(lean) > 5.0, lean < 0.0) == (True, angle > 0.0)
+    assert answer.summary["lean_mm"] == pytest.approx(lean, rel=1e-9)
+    words = f"lower end hangs {abs(lean):.3g} mm to the {'left' if lean < 0.0 else 'right'} of its upper one"
+    assert words in lean_note(answer.summary)
+    upright = solve(replace(scene, curtain=Rectangle(60.0, 120.0)))
+    assert lean_note(upright.summary) is None
 
 
 @pytest.mark.slow
@@ -301,7 +356,10 @@ def test_the_report_is_two_pages_or_more_where_tables_are_long(tmp_path):
     loads = f"bar of 2 kg on bottom, {wind}, (0, -9) N at (50, 40) (radius 8 mm), (0.5, 0) N/mm on left"
     thrust = macro_fem.PatchLoad((50.0, 40.0), 8.0, (0.0, -9.0))
     blown = hung(EdgeLoad("left", (0.5, 0.0)), Wind((0.0, 0.0, 1.0), speed=8.0, follows=True), thrust)
-    assert [_loads(one) for one in (blown, replace(blown, load=Load(gravity=0.0)))] == [f"weight, {loads}", loads]
+    assert [loads_in_words(one) for one in (blown, replace(blown, load=Load(gravity=0.0)))] == [
+        f"weight, {loads}",
+        loads,
+    ]
     told = {head: list(lines) for head, lines, _ in _sections(summary, [])}
     rows = [line.split("  ")[0] for line in told["Forces of supports without partial factors"]]
     assert rows == ["support", "hook 1", "hook 2", "hook 3", "hook 4"]

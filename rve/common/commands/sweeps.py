@@ -12,7 +12,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from importlib import import_module
 from multiprocessing import active_children, get_context, parent_process
@@ -139,13 +139,17 @@ def _cluster(address: str) -> Iterator[Executor]:
 @contextmanager
 def side_by_side(jobs: int) -> Iterator[Executor]:
     """Worker processes that end with the block, at once where it is left early, and when this process ends."""
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_end_with_parent) as pool:
-        try:
-            yield pool
-        except BaseException:
-            for child in active_children():  # the pool waits for them: left running, it may end in a traceback
-                child.terminate()
-            raise
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_end_with_parent)
+    with pool, ExitStack() as early:
+        early.callback(_end_children)
+        yield pool
+        early.pop_all()
+
+
+def _end_children() -> None:
+    """End all workers, for which a pool waits: left running, one may end in a traceback."""
+    for child in active_children():
+        child.terminate()
 
 
 def _end_with_parent() -> None:
