@@ -1,10 +1,9 @@
 """The largest work of a dead load, h(S) = max S:E over the locked states: a global search by restarts.
 
 A locked state is an admissible pose, hence a start for every other load. `sample_states` locks the cell under loads all
-over the disc of loads, from random poses, and lets the best of these states spread to all loads under which they do
-more work. It depends on the cell alone, and `search` asks it about any load: a row of a table and a load by itself are
-compared with the same states. A locked state of the primitive cell need not be a maximum in a larger one: starts there
-are its motions of negative stiffness, and a small disturbance of all rings at random.
+over the disc of loads, from random poses. It depends on the cell alone, and `search` asks it about any load: a row of a
+table and a load by itself are compared with the same states. A locked state of the primitive cell need not be a maximum
+in a larger one: starts there are its motions of negative stiffness, and a small disturbance of all rings at random.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common import Array, Index, Rows
-from rve.common.tensor import WEIGHT, double_dot, from_disc, mirror
+from rve.common.tensor import WEIGHT, double_dot, eigenvalues, from_disc, mirror
 from rve.equilibrium.dead_load import MARGINS, NEAR_MARGIN, LoadedCell, random_poses, restart, solve_dead
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
 from rve.equilibrium.limits import balanced, loose_motions
@@ -28,7 +27,15 @@ GAIN = 1e-9
 """Work at unit trace of S by which a state must exceed another to count as a better one; round-off leaves 1e-12."""
 SAMPLE = 48
 """Loads of the sample, a third of them of rank one; half of them for weaves with images. With more, narrower basins are
-found, and a single load takes longer; docs/theory.md, 4 says what 48 miss."""
+found, and a single load takes longer."""
+ROUGH = 1e-5
+"""Path parameter and residual at which the states of the sample end: starts as good as exact ones, in less time."""
+THICK = 1.0 / 12.0
+"""r2/r1 from which on the search is quick: there loads have one state, but for some near rank one. Larger: tables of
+thick wires take half as long again."""
+QUICK, NARROW = 35, 0.1
+"""Iterations of a quick search, slower loads are left as they are; and the ratio of principal loads below which it
+restarts a load that has a state."""
 ROUNDS = 6
 """Rounds of restarts at most; a load that is still below a known state then has the status "below"."""
 UNSTABLE, MODES = -1e-6, 3
@@ -114,31 +121,53 @@ def slack_states(S: Array, mesh: LoadedCell) -> BestStates:
 
 @lru_cache(maxsize=8)
 def sample_states(cell: Cell, sides_mm: tuple[float, float], options: DirectOptions) -> KnownStates:
-    """The best locked states of `SAMPLE` loads all over the disc of loads, weave axes, with their images.
+    """Locked states of `SAMPLE` loads all over the disc of loads, weave axes, with their images.
 
-    Each load starts from a random admissible pose of its own, since paths from the slack pose keep its symmetry; then
-    from every state that does more work under it.
+    Each load starts from a random admissible pose of its own, since paths from the slack pose keep its symmetry. The
+    states are rough: as admissible poses they bound the work of every load from below all the same.
     """
     mesh = LoadedCell.of(cell, sides_mm, options)
     count = SAMPLE // 2 if mesh.dead.weave.has_images else SAMPLE
     k = np.arange(count)
     radius, angle = np.minimum(np.sqrt(1.5 * (k + 0.5) / count), 1.0), np.pi * (3.0 - np.sqrt(5.0)) * k
     S = from_disc(radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
-    found = solve_dead(S, mesh.dead, replace(options, attempts=1), random_poses(mesh.dead, count))
-    best = BestStates.none(mesh, S).improved(k, found, "restart")
-    return climb(best, best.states).states
+    rough = replace(hasty(mesh), attempts=1, power=1.0, shrink=0.3, mu_end=ROUGH, tolerance=ROUGH)
+    found = solve_equilibrium(S, mesh.dead, rough, random_poses(mesh.dead, count))
+    good = found.status == "converged"
+    return KnownStates.of(mesh, found.pose.take(good), S[good])
+
+
+def is_thick(mesh: LoadedCell) -> bool:
+    """Whether the search of this cell is quick."""
+    return mesh.cell.wire >= THICK
+
+
+def hasty(mesh: LoadedCell) -> DirectOptions:
+    """The options of the cell; in a quick search with `QUICK` iterations at most."""
+    most = mesh.options.max_iterations
+    return replace(mesh.options, max_iterations=min(QUICK, most) if is_thick(mesh) else most)
 
 
 def search(best: BestStates, sample: KnownStates, others: KnownStates | None = None) -> BestStates:
     """The states of largest work: better than `best` wherever restarts from those of `sample` or `others` lead to one.
 
-    Every load is restarted from the state of the sample that does most work under it; then, as `climb` does, from those
-    that do more than its own. A load without a state starts from the slack pose.
+    Every load, in a thick cell every one that is narrow or has no state, is restarted from the state of the sample that
+    does most work under it; a narrow one of thin wire from a random pose as well, on a long path; then all, as `climb`
+    does, from those that do more than their own. A load that is still without a state starts from the slack pose.
     """
-    mesh, S, rows = best.mesh, best.S, np.arange(len(best.S))
-    if len(sample.S):
-        start = sample.pose.take(sample.works(S).argmax(axis=1))
-        best = best.improved(rows, restart(S, mesh.dead, start, NEAR_MARGIN, mesh.options), "restart")
+    mesh, S = best.mesh, best.S
+    low, high = eigenvalues(S)
+    is_narrow, quick = low < NARROW * high, is_thick(mesh)
+    rows = np.flatnonzero(is_narrow | ~np.isfinite(best.h) | (not quick))
+    if len(sample.S) and len(rows):
+        start = sample.pose.take(sample.works(S[rows]).argmax(axis=1))
+        new = restart(S[rows], mesh.dead, start, NEAR_MARGIN, hasty(mesh))
+        best = best.improved(rows, new, "restart")
+    long = np.flatnonzero(is_narrow & (not quick))
+    if len(long):
+        start = random_poses(mesh.dead, 1).take(np.zeros(len(long), dtype=int))
+        new = solve_dead(S[long], mesh.dead, replace(mesh.options, attempts=1), start)
+        best = best.improved(long, new, "restart")
     none = np.flatnonzero(~np.isfinite(best.h))
     if len(none):
         best = best.improved(none, slack_states(S[none], mesh).found, "slack")

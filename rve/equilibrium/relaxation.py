@@ -95,9 +95,7 @@ class RowStates(Rows):
         return np.flatnonzero((_missing_work(self, states) > GAIN) | (self.branch == UNDECIDED))
 
 
-def largest_rows(
-    rows: RowStates, s: Array, mesh: LoadedCell, sample: KnownStates
-) -> tuple[RowStates, Flags, Beside]:
+def largest_rows(rows: RowStates, s: Array, mesh: LoadedCell, sample: KnownStates) -> tuple[RowStates, Flags, Beside]:
     """The rows with their states of largest work under the Cauchy loads s (n, 3); which of them (n,) a known state
     still contradicts; what lies beside those that coexist.
 
@@ -184,7 +182,6 @@ def _solve_from_rivals(
     for i, row in first.items():
         made = made.put(np.array([i]), row)
     return made, KnownStates.of(mesh, reached.pose, reached.S), both
-
 
 
 def best_mixture(s: Array, E: Array, mesh: LoadedCell) -> tuple[list[int], Array]:
