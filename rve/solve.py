@@ -10,12 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 from rve.common import SENTENCES, Array, InputError, NotConverged, checked, part_of, versions
 from rve.common.tensor import double_dot
 from rve.directions import grid
-from rve.equilibrium.branches import RowStates, largest_rows
 from rve.equilibrium.dead_load import DeadLoad, LoadedCell, solve_dead
+from rve.equilibrium.global_search import in_cell, sample_states
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, LockedStates, solve_equilibrium
-from rve.equilibrium.largest_work import in_cell
 from rve.equilibrium.limits import with_limits
-from rve.equilibrium.mixtures import MOVED
+from rve.equilibrium.relaxation import MOVED, RowStates, largest_rows
 from rve.equilibrium.system import Equations, mirror_modes
 from rve.geometry.cell import Cell, CellInfo, weave_axes
 from rve.geometry.contacts import unlisted_gap
@@ -144,14 +143,14 @@ def largest_table(
     which states coexist, for the sidecar.
     """
     began, cell = time.perf_counter(), states.cell
-    mesh = LoadedCell.of(cell, sides_mm, options)
+    mesh, sample = LoadedCell.of(cell, sides_mm, options), sample_states(cell, sides_mm, options)
     first = RowStates.of(mesh, states.found, states.s, "slack", states.unique)
-    rows, left, beside = largest_rows(first, states.s, mesh)
+    rows, left, beside = largest_rows(first, states.s, mesh, sample)
     primitive, record = rows.E, {}
     for larger in cell.stages:
         mesh = LoadedCell.of(larger, sides_mm, options)
         rows = replace(rows, found=in_cell(rows.found, rows.s, mesh.cauchy))
-        rows, left, more = largest_rows(rows, states.s, mesh)
+        rows, left, more = largest_rows(rows, states.s, mesh, sample)
         beside |= more
         record = {"rows_beyond_the_primitive_cell": int((np.abs(rows.E - primitive).max(axis=1) > MOVED).sum())}
     status = np.where(left, "below", rows.found.status).astype("<U16")
@@ -169,7 +168,7 @@ def branch_record(table: StrainTable, first: RowStates, rows: RowStates, wall: f
         row = {"row": i, "alpha_deg": float(table.alpha_deg[i]), "beta_deg": float(table.beta_deg[i])}
         slack, best = (float(double_dot(rows.S[i], of.E[i])) for of in (first, rows))
         several.append(row | {"branch": str(branch[i]), "work_from_slack": slack, "work": best})
-    how = "restarts from the states of other rows, their mirror images, and dead loads from slack and random poses"
+    how = "restarts from the states of loads all over, of other rows, and their mirror images"
     return {"maximum_by": how, "several_states": several, "wall_s": round(wall, 3)}
 
 

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rve.common import Array, ByValue, InputError, checked
-from rve.common.tensor import disc, double_dot, eigenvalues, from_disc, trace
+from rve.common.tensor import double_dot, eigenvalues, trace
 from rve.equilibrium.dead_load import LoadedCell
+from rve.equilibrium.global_search import BestStates, KnownStates, sample_states, search, search_beyond, slack_states
 from rve.equilibrium.interior_point import DirectOptions, unit_loads
-from rve.equilibrium.largest_work import KnownStates, Largest, largest, largest_beyond
 from rve.equilibrium.limits import strain_is_unique
 from rve.geometry.cell import Cell, weave_axes
 from rve.geometry.pose import strain_of
@@ -20,9 +20,6 @@ from rve.solve import lattice_mm, mark_unlisted, reference_sides
 ROUND_OFF = 1e-6
 """Share of the larger eigenvalue by which the smaller one may be negative: loads are typed with few digits."""
 
-RING = 0.1
-"""Distance in the disc of loads of unit trace at which locked states are sought as starts for a load."""
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SupportValue(ByValue):
@@ -30,9 +27,9 @@ class SupportValue(ByValue):
 
     S (n, 3) as asked for; h (n,) = S:E in the unit of S, nan where no state was found; E (n, 3); x2_mm, x3_mm (n, 2);
     unique (n,): False where the load leaves the strain free, E is then one of many; status (n,); R, min_gap_mm (n,);
-    branch (n,): how the state was reached, from the "slack" pose, a "random" admissible one, that of a "neighbour" in
-    load, or by a "restart" from a state that does more work; works: per load h of every state that was found under it,
-    ascending; sides_mm: b_x, b_y of the reference cell; states: what `support` can start from next time; weave: that
+    branch (n,): how the state was reached, from the "slack" pose or by a "restart" from a locked state of another load;
+    works: per load h of every state that was reached under it, ascending; sides_mm: b_x, b_y of the reference cell;
+    states: what `support` can start from next time; weave: that
     of the poses.
     """
 
@@ -140,32 +137,17 @@ def checked_loads(S: ArrayLike) -> Array:
     return S
 
 
-def company(S: Array, known: KnownStates | None) -> Array:
-    """Loads (m, 3) of unit trace near those of the loads S (n, 3) that have few known or asked loads near them.
-
-    Four on a circle of radius `RING` round each in the disc of loads; those outside are drawn in to the rim.
-    """
-    x = disc(S)
-    near = x if known is None else np.concatenate([x, disc(known.S)])
-    count = (np.linalg.norm(x[:, None] - near[None], axis=2) < 1.5 * RING).sum(axis=1)
-    lonely = x[count <= 4]
-    turn = np.pi * (0.25 + 0.5 * np.arange(4))
-    around = (lonely[:, None] + RING * np.stack([np.cos(turn), np.sin(turn)], axis=1)).reshape(-1, 2)
-    return from_disc(around / np.maximum(np.linalg.norm(around, axis=1), 1.0)[:, None])
-
-
 def solve_largest(
     loads: Array, cell: Cell, sides_mm: tuple[float, float], options: DirectOptions, known: KnownStates | None
-) -> tuple[Largest, NDArray[np.bool_], Cell]:
+) -> tuple[BestStates, NDArray[np.bool_], Cell]:
     """Best states of the loads (n, 3), flags `unique` (n,), and the cell of their poses."""
     mesh, stages = replace(cell, cells=(1, 1), centres="plane"), cell.stages
-    known, beyond = (None, known) if stages else (known, None)
-    loaded, beside = LoadedCell.of(mesh, sides_mm, options), None
-    others = company(loads, known) if options.branches != "first" else loads[:0]
-    if len(others):
-        beside = largest(others, replace(loaded, options=replace(options, branches="first"))).states
-    best = largest(loads, loaded, known, beside)
+    loaded = LoadedCell.of(mesh, sides_mm, options)
+    if options.branches == "first":
+        best = slack_states(loads, loaded)
+    else:
+        best = search(BestStates.none(loaded, loads), sample_states(mesh, sides_mm, options), None if stages else known)
     for mesh in stages:
         loaded = LoadedCell.of(mesh, sides_mm, options)
-        best = largest_beyond(best, beyond if mesh is stages[-1] else None, loaded)
+        best = search_beyond(best, known if mesh is stages[-1] else None, loaded)
     return best, strain_is_unique(loaded.dead, best.found, unit_loads(loads)), mesh

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from rve import Cell, DirectOptions, grid, read_table, solve_table, support, with_rings, write_table
-from rve.common.tensor import WEIGHT, double_dot, dyad, mirror
+from rve.common.tensor import WEIGHT, double_dot, dyad, mirror, trace
 from rve.equilibrium.dead_load import LoadedCell
-from rve.equilibrium.mixtures import best_mixture, equal_shares
+from rve.equilibrium.relaxation import best_mixture, equal_shares
 from rve.equilibrium.system import Equations
-from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, deformation_gradient, second_pk
+from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, WEAVES, deformation_gradient, second_pk
 from rve.solve import reference_sides
 
 FIRST = DirectOptions(branches="first")
@@ -126,3 +126,39 @@ def test_the_locked_reference_is_the_longest_state():
         else:
             assert l_y / b_y == pytest.approx(1.057, abs=5e-4)
             assert l_x < 0.8 * b_x
+
+
+NEAR_GRAIN = [("6-in-1", 25.0, "x", -10.083, 87.444)]  # two states: the row was that of less work
+RANDOM = [(weave, ratio, grain) for weave in WEAVES for grain in "xy" for ratio in (6.0, 10.0, 20.0, 25.0, 40.0, 60.0)]
+
+
+def assert_largest(cell, alpha, beta):
+    """No row does less work than `support` finds under its S, with the rows together and each by itself."""
+    table = solve_table(cell, (alpha, beta))
+    S = table.S / trace(table.S)[:, None]
+    work = double_dot(S, table.E)
+    assert table.converged.all()
+    assert (support(cell, S).h - work).max() < 1e-7
+    assert support(cell, S[0]).h[0] - work[0] < 1e-7
+    return table
+
+
+@pytest.mark.parametrize(("weave", "ratio", "grain", "alpha", "beta"), NEAR_GRAIN)
+def test_a_row_by_itself_does_as_much_work_as_its_dead_load(weave, ratio, grain, alpha, beta):
+    """Under the S of the symmetric state another one does 0.1842, this one 0.1769: the two coexist in the row."""
+    cell = Cell(5.0, 5.0 / ratio, weave=weave, grain=grain)
+    assert support(cell, [0.29559752, 0.15815342, 0.23533335]).h[0] == pytest.approx(0.18423, abs=1e-5)
+    table = assert_largest(cell, np.array([alpha]), np.array([beta]))
+    assert not table.unique.any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("weave", "ratio", "grain"), RANDOM)
+def test_random_rows_do_as_much_work_as_their_dead_loads(weave, ratio, grain):
+    rng = np.random.default_rng([7, int(ratio), grain == "x"])
+    alpha, beta = rng.uniform(-45.0, 45.0, 20), rng.uniform(0.0, 90.0, 20)
+    beta[::4] = 90.0 - 0.1 * beta[::4]
+    cell = Cell(5.0, 5.0 / ratio, weave=weave, grain=grain)
+    table = assert_largest(cell, alpha, beta)
+    alone = assert_largest(cell, alpha[:1], beta[:1])
+    np.testing.assert_allclose(alone.E[0], table.E[0], atol=1e-7)

@@ -171,7 +171,6 @@ def test_a_state_without_the_symmetry_of_the_slack_pose_is_found(S, work):
     assert found.status[0] == "converged"
     assert work <= found.h[0] < work + 1e-4
     assert first.h[0] < found.h[0] - 5e-3
-    assert found.works[0][0] == pytest.approx(first.h[0], abs=1e-9)
     assert asymmetry(first.states.pose, 0)[0] < 1e-6
     pose = found.states.pose.take(np.array([len(found.states.S) - 1]))
     assert asymmetry(pose, 0)[0] > 1e-2
@@ -214,8 +213,7 @@ def test_random_starts_are_admissible_and_far_apart(ratio, weave):
     contacts = find_contacts(pose, weave, equations.wire, 0.6)
     assert contacts.links_intact.all()
     assert (contacts.min_gap > 0.0).all()
-    np.testing.assert_array_equal(pose.lattice[16:], pose.lattice[:2])
-    np.testing.assert_array_equal(random_poses(equations, 3).normals, pose.normals[:3])
+    np.testing.assert_array_equal(random_poses(equations, 18).normals, pose.normals)
     assert asymmetry(pose, 1 if weave is FOUR_IN_ONE else 0).min() > 1e-3
     assert np.ptp(pose.lattice[:, :2], axis=0).min() > (0.2 if ratio > 10.0 else 0.01)
 
@@ -246,13 +244,12 @@ def test_a_locked_pose_is_opened_a_little():
 
 @pytest.mark.slow
 def test_states_known_before_are_starts():
-    """Without its company one load of thin wire keeps a smaller state; with the states of others it climbs."""
+    """From the slack pose a load of thin wire keeps a smaller state; from the states of others it climbs."""
     cell, S = Cell(5.0, 0.1), [0.2427026, -0.21719236, 0.7572974]
     first = support(cell, S, FIRST)
     best = support(cell, S)
-    assert best.branch[0] in ("neighbour", "restart")
+    assert best.branch[0] == "restart"
     assert best.h[0] > first.h[0] + 1e-5
-    assert best.works[0][0] == pytest.approx(first.h[0], abs=1e-9)
     again = support(cell, S, known=best)
     assert again.h[0] == pytest.approx(best.h[0], abs=1e-9)
     assert first.branch[0] == "slack"
