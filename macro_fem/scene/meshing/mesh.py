@@ -118,15 +118,11 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     single = [number for number, one in enumerate(places) if not one.edge]
     single.sort(key=lambda number: not places[number].pitch)  # hooks first
     mesh, numbers = sheet.fill()
-    wanted = [
-        (f"[support] {scene.support[number].one} at [{x:g}, {y:g}]", (x, y))
-        for number in single
-        for x, y in places[number].points.tolist()
-    ]
-    loads: list[PointLoad | PatchLoad] = [*scene.of(PointLoad)]
-    loads += [patch for patch in scene.of(PatchLoad) if patch.radius < _longest_side(mesh)]
-    wanted += [(f"{one.where} at = {list(one.at)}", one.at) for one in loads]
-    lines, wheres = {name: numbers[of] for name, of in sheet.border.edges.items()}, [what for what, _ in wanted]
+    wanted = [(scene.support[number].where, at) for number in single for at in places[number].points.tolist()]
+    wanted += [(one.where, [*one.at]) for one in scene.of(PointLoad)]
+    wanted += [(one.where, [*one.at]) for one in scene.of(PatchLoad) if one.radius < _longest_side(mesh)]
+    lines = {name: numbers[pairs] for name, pairs in sheet.border.edges.items()}
+    wheres = [f"{where} at {np.round(at, 9).tolist()}" for where, at in wanted]
     with scene.in_errors():
         mesh, lines, nodes = with_nodes_at(mesh, lines, np.array([at for _, at in wanted]).reshape(-1, 2), wheres)
     parts = np.split(nodes, np.cumsum([len(places[number].points) for number in single]))
