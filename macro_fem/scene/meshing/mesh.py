@@ -22,7 +22,7 @@ from macro_fem.scene.meshing.nodes import with_nodes_at
 from macro_fem.scene.meshing.sheet_mesh import read_mesh
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
-from macro_fem.scene.sites import Hanging, Places
+from macro_fem.scene.support_kinds import Hanging, Places
 from macro_fem.scene.tables import PatchLoad, PointLoad
 from rve.common import Array, InputError, shown
 from rve.common.records import Index

@@ -243,16 +243,14 @@ def _joined(curves: list[Array], size: float) -> tuple[list[Array], list[str]]:
     given = np.concatenate([curve[[0, -1]] for curve in curves])
     node = components(cKDTree(given).query_pairs(JOINT * size, output_type="ndarray"), len(given))[1]
     places = given[np.unique(node, return_index=True)[1]]
-    closed, pieces = list[Array](), list[Array]()
-    is_open = node[::2] != node[1::2]
-    for curve, (first, last), apart in zip(curves, node.reshape(-1, 2), is_open, strict=True):
-        (pieces if apart else closed).append(np.vstack([places[first], curve[1:-1], places[last]]))
-    meet = np.bincount(node.reshape(-1, 2)[is_open].ravel(), minlength=len(places))
+    ends = node.reshape(-1, 2)
+    pieces = [np.vstack([places[a], curve[1:-1], places[b]]) for curve, (a, b) in zip(curves, ends, strict=True)]
+    meet = np.bincount(ends[ends[:, 0] != ends[:, 1]].ravel(), minlength=len(places))
     if (loose := places[meet == 1]).size:
         width, other = (part[:, 1] for part in cKDTree(loose).query(loose, k=2))
-        ends = sorted({(float(w), *sorted((a, int(b)))) for a, (w, b) in enumerate(zip(width, other, strict=True))})
-        listed = [f"{w:.4g} mm from {_place(loose[a])} to {_place(loose[b])}" for w, a, b in ends[:3]]
-        more = f" and {len(ends) - 3} more" if len(ends) > 3 else ""
+        gaps = sorted({(float(w), *sorted((a, int(b)))) for a, (w, b) in enumerate(zip(width, other, strict=True))})
+        listed = [f"{w:.4g} mm from {_place(loose[a])} to {_place(loose[b])}" for w, a, b in gaps[:3]]
+        more = f" and {len(gaps) - 3} more" if len(gaps) > 3 else ""
         raise InputError(
             f"curves do not close, gaps of {', '.join(listed)}{more}: draw them end to end, and remove what "
             "is no part of the sheet or turn its layer off"
@@ -262,7 +260,7 @@ def _joined(curves: list[Array], size: float) -> tuple[list[Array], list[str]]:
             f"{meet[many[0]]} curves meet at {_place(places[many[0]])}, one is drawn twice or no part of the outline: "
             "remove it, or turn its layer off"
         )
-    rings = closed + [shapely.get_coordinates(one) for one in shapely.get_parts(shapely.line_merge(_lines(pieces)))]
+    rings = [shapely.get_coordinates(one) for one in shapely.get_parts(shapely.line_merge(_lines(pieces)))]
     away = np.linalg.norm(given - places[node], axis=1)
     if away.max() <= ROUNDING * size:
         return rings, []
