@@ -12,11 +12,11 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from msgspec import Meta
 
-from macro_fem.fem.cells import in_space_of
+from macro_fem.fem.cells import padded
 from macro_fem.scene import tables
 from macro_fem.scene.meshing.edges import UPRIGHT, Border, Line
 from macro_fem.scene.obstacles import unit
-from macro_fem.scene.tables import LEAST_MM, NO_MOVE, Time, Timed, Vector, Way, in_3d, leaves_plane
+from macro_fem.scene.tables import LEAST_MM, NO_MOVE, Time, Timed, Way, in_3d, leaves_plane
 from rve.common import Array, InputError
 from rve.common.records import Index
 
@@ -31,7 +31,7 @@ AGREES = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """What one support holds: `nodes` (k,), `mask` (k, d) of components and their `positions` (k, d).
+    """What one support holds: `nodes` (k,), `mask` (k, d) of components and their `positions` (k, d); d = 3 at first.
 
     `facets` (m,): the facets of the mesh that are held as a whole; none for corners, hooks, runners and points.
     `slide` (d,): the direction, along no axis, in which all nodes slide freely from their positions; None if they do
@@ -67,28 +67,6 @@ class Places(NamedTuple):
     nodes: Index = NONE
 
 
-@dataclass(frozen=True, eq=False)
-class SupportNodes:
-    """The nodes `number` (k,) of a mesh at the places of a support, those of an edge in order; `border`: of the mesh.
-
-    d: components of places; factor: of the support's move.
-    """
-
-    number: Index
-    border: Border
-    d: int
-    factor: float
-
-    @property
-    def X(self) -> Array:
-        """Their reference places (k, 2)."""
-        return self.border.points[self.number]
-
-    def moved(self, places: Array, move: Vector) -> Array:
-        """Places (k, 2 or d) with all components (k, d), after the factor of a move."""
-        return np.asarray(in_space_of(places, self.d) + self.factor * np.array(in_3d(move)[: self.d]))
-
-
 @dataclass(frozen=True, kw_only=True)
 class Support(Timed):
     """What holds the curtain; in motion until `release`, s, where `history` scales `move` and `drawn`."""
@@ -107,22 +85,26 @@ class Support(Timed):
         """
         return Places(edge=getattr(self, "edge", self.edge_needed) or "")
 
-    def hold(self, nodes: SupportNodes) -> Held:
-        """The components and positions of the nodes that it holds; InputError if it asks for what has no effect."""
+    def hold(self, border: Border, nodes: Index) -> Held:
+        """The nodes (k,) of a mesh with this border, held in space and not yet moved; those of an edge are in order.
+
+        InputError if it asks for what has no effect.
+        """
         raise NotImplementedError
 
-    def _held(self, name: str, nodes: SupportNodes, target: Array, held: str = "both") -> Held:
-        """The nodes held at places `target` (k, 2), moved; InputError for a gather that moves none of them."""
-        gather = getattr(self, "gather", 1.0)
-        mask = np.tile([held == "both" or axis in held for axis in "xyz"[: nodes.d]], (len(target), 1))
-        if gather != 1.0 and np.abs((target - nodes.X)[mask[:, :2]]).max(initial=0.0) <= 1e-9 * nodes.border.size:
+    def _held(self, name: str, border: Border, nodes: Index, target: Array, held: str = "both") -> Held:
+        """The nodes held at places `target` (k, 2); InputError for a gather that moves none of them."""
+        mask = np.tile([held == "both" or axis in held for axis in "xyz"], (len(target), 1))
+        gather, way = getattr(self, "gather", 1.0), target - border.points[nodes]
+        if gather != 1.0 and np.abs(way[mask[:, :2]]).max(initial=0.0) <= 1e-9 * border.size:
             raise InputError(f"[support] gather = {gather:g}: has no effect on {name}, which it holds as it is")
-        return Held(name, nodes.number, mask, nodes.moved(target, getattr(self, "move", NO_MOVE)))
+        return Held(name, nodes, mask, padded(target))
 
-    def _narrowed(self, nodes: SupportNodes) -> Array:
+    def _narrowed(self, border: Border, nodes: Index) -> Array:
         """Places (k, 2) of nodes of the top edge, narrowed by `gather` about the middle of the curtain."""
-        middle = nodes.border.middle
-        return np.stack([middle + getattr(self, "gather", 1.0) * (nodes.X[:, 0] - middle), nodes.X[:, 1]], axis=-1)
+        middle = 0.5 * (border.points[:, 0].min() + border.points[:, 0].max())
+        share = np.array([getattr(self, "gather", 1.0), 1.0])
+        return np.asarray([middle, 0.0] + share * (border.points[nodes] - [middle, 0.0]))
 
 
 class Hanging(Support):
@@ -184,8 +166,8 @@ class Corners(Support, kind="corners"):
     def places(self, border: Border) -> Places:
         return Places(border.points[border.nodes("top")[[0, -1]]])
 
-    def hold(self, nodes: SupportNodes) -> Held:
-        return self._held("corners", nodes, self._narrowed(nodes))
+    def hold(self, border: Border, nodes: Index) -> Held:
+        return self._held("corners", border, nodes, self._narrowed(border, nodes))
 
 
 @dataclass(frozen=True)
@@ -195,16 +177,16 @@ class Top(Support, kind="top"):
     gather: tables.Factor = 1.0
     move: Way = NO_MOVE
 
-    def hold(self, nodes: SupportNodes) -> Held:
-        return self._held("top", nodes, self._narrowed(nodes))
+    def hold(self, border: Border, nodes: Index) -> Held:
+        return self._held("top", border, nodes, self._narrowed(border, nodes))
 
 
 @dataclass(frozen=True)
 class Rail(Support, kind="rail"):
     """The top edge held in height, and in space in z too, free to slide sideways."""
 
-    def hold(self, nodes: SupportNodes) -> Held:
-        return self._held("rail", nodes, nodes.X, "yz")
+    def hold(self, border: Border, nodes: Index) -> Held:
+        return self._held("rail", border, nodes, border.points[nodes], "yz")
 
 
 @dataclass(frozen=True)
@@ -229,8 +211,9 @@ class Hooks(Hanging, kind="hooks"):
             self.refuse("pitch: is missing; give it in mm, or the count of hooks")
         super().check()
 
-    def hold(self, nodes: SupportNodes) -> Held:
-        return self._held("hooks", nodes, self._narrowed(nodes), "yz" if self.sliding else "both")
+    def hold(self, border: Border, nodes: Index) -> Held:
+        held = "yz" if self.sliding else "both"
+        return self._held("hooks", border, nodes, self._narrowed(border, nodes), held)
 
 
 @dataclass(frozen=True)
@@ -269,18 +252,17 @@ class Edge(Support, kind="edge"):
             return f"along = {[list(point) for point in self.along]} leaves the plane"
         return super().space_reason
 
-    def hold(self, nodes: SupportNodes) -> Held:
+    def hold(self, border: Border, nodes: Index) -> Held:
         if self.along is not None:
-            return self._on_line(nodes, *(np.array(point[: nodes.d]) for point in self.along))
-        X = nodes.X
+            return self._on_line(border, *map(np.array, self.along))
+        X = border.points[nodes]
         centre = 0.5 * (X.min(axis=0) + X.max(axis=0))
-        return self._held(f"edge {self.edge}", nodes, centre + self.gather * (X - centre), self.held)
+        return self._held(f"edge {self.edge}", border, nodes, centre + self.gather * (X - centre), self.held)
 
-    def _on_line(self, nodes: SupportNodes, first: Array, last: Array) -> Held:
-        """The edge evenly between two points (d,) of a straight line, held or free to slide."""
-        line = _in_sense(nodes.border.line(self.edge, f"{self.where} edge"), last - first)
-        places = nodes.moved(first + (line.arc / line.arc[-1])[:, None] * (last - first), self.move)
-        e = unit(last - first)[: nodes.d]
+    def _on_line(self, border: Border, first: Array, last: Array) -> Held:
+        """The edge evenly between two points (3,) of a straight line, held or free to slide."""
+        line, e = _in_sense(border.line(self.edge, f"{self.where} edge"), last - first), unit(last - first)
+        places = first + (line.arc / line.arc[-1])[:, None] * (last - first)
         mask = np.ones(places.shape, bool)
         if self.sliding and not sloping(e):
             mask[:, np.abs(e) > PARALLEL] = False
@@ -316,8 +298,8 @@ class Point(Support, kind="point"):
     def places(self, border: Border) -> Places:
         return Places(np.array([self.at]))
 
-    def hold(self, nodes: SupportNodes) -> Held:
-        return self._held(f"point ({self.at[0]:g}, {self.at[1]:g})", nodes, nodes.X, self.held)
+    def hold(self, border: Border, nodes: Index) -> Held:
+        return self._held(f"point ({self.at[0]:g}, {self.at[1]:g})", border, nodes, border.points[nodes], self.held)
 
 
 @dataclass(frozen=True, eq=False)
@@ -399,14 +381,13 @@ class Track(Hanging, kind="track"):
     def space_reason(self) -> str:
         return "kind = 'track' leaves the plane"
 
-    def hold(self, nodes: SupportNodes) -> Held:
-        edge = nodes.border.line("top", f"{self.where} needs edge")
-        curve, length, number, s = self.curve(edge, self.where), edge.arc[-1], edge.nodes, edge.arc
+    def hold(self, border: Border, nodes: Index) -> Held:
+        edge = border.line("top", f"{self.where} needs edge")
+        curve, length, s = self.curve(edge, self.where), edge.arc[-1], edge.arc
         if self.has_hooks:
-            number, s = nodes.number, np.linspace(0.0, length, len(nodes.number))
-        places = self.on_track(curve, s, length)
-        drawn = curve.at(np.linspace(0.0, curve.length, DRAWN))
-        return Held("track", number, np.ones(places.shape, bool), places, track=drawn)
+            s = np.linspace(0.0, length, len(nodes))
+        places, drawn = self.on_track(curve, s, length), curve.at(np.linspace(0.0, curve.length, DRAWN))
+        return Held("track", nodes if self.has_hooks else edge.nodes, np.ones(places.shape, bool), places, track=drawn)
 
     def on_track(self, curve: Curve, s: Array, edge_length: float) -> Array:
         """Places (n, 3) on the track of material points at the distances s (n,) along the top edge, mm."""

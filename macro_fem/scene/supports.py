@@ -19,8 +19,8 @@ from macro_fem.scene.meshing.edges import in_order
 from macro_fem.scene.meshing.mesh import CurtainMesh, edge_nodes
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.support_kinds import NONE, PARALLEL, Held, SupportNodes, sloping
-from macro_fem.scene.tables import Bar
+from macro_fem.scene.support_kinds import NONE, PARALLEL, Held, sloping
+from macro_fem.scene.tables import NO_MOVE, Bar
 from rve.common import Array
 from rve.common.records import Index
 
@@ -144,19 +144,18 @@ def build_supports(
 
 def _held(scene: Scene, number: int, mesh: CurtainMesh, disc: Discretization, factor: float) -> Held:
     """What a support holds of a discretisation: of an edge also its facets, and of P2 their middles between ends."""
-    item, places, border = scene.support[number], mesh.places[number], mesh.border
-    nodes = border.nodes(places.edge) if places.edge else places.nodes
+    item, places, d = scene.support[number], mesh.places[number], scene.d
     with scene.in_errors():
-        held = item.hold(SupportNodes(nodes, border, scene.d, factor))
-    if not places.edge:
+        held = item.hold(mesh.border, mesh.border.nodes(places.edge) if places.edge else places.nodes)
+    positions = held.positions[:, :d] + factor * scene.vector(getattr(item, "move", NO_MOVE))
+    slide, facets = None if held.slide is None else held.slide[:d], mesh.edges.get(places.edge, NONE)
+    held = replace(held, mask=held.mask[:, :d], positions=positions, slide=slide, facets=facets)
+    if disc.element != "P2" or not len(facets):
         return held
-    held = replace(held, facets=mesh.edges[places.edge])
-    if disc.element != "P2":
-        return held
-    place = np.zeros(len(border.points), np.int64)
+    place = np.zeros(len(mesh.border.points), np.int64)
     place[held.nodes] = np.arange(len(held.nodes))
     ends = place[mesh.mesh.facets[:, held.facets]]
-    nodes = np.concatenate([held.nodes, len(border.points) + held.facets])
+    nodes = np.concatenate([held.nodes, len(mesh.border.points) + held.facets])
     order = in_order(disc.nodes[nodes])
     mask = np.concatenate([held.mask, held.mask[ends[0]]])[order]
     positions = np.concatenate([held.positions, held.positions[ends].mean(axis=0)])[order]

@@ -70,12 +70,6 @@ class Border:
     edges: dict[str, Index]
 
     @property
-    def middle(self) -> float:
-        """The middle of its x, mm."""
-        x = self.points[:, 0]
-        return float(0.5 * (x.min() + x.max()))
-
-    @property
     def size(self) -> float:
         """Diagonal of the bounding box, mm."""
         return float(np.hypot(*np.ptp(self.points, axis=0)))
