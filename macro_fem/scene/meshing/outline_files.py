@@ -18,7 +18,7 @@ import shapely
 from scipy.interpolate import BSpline
 from scipy.spatial import cKDTree
 
-from macro_fem.fem.cells import components, cross, signed_areas
+from macro_fem.fem.cells import components, signed_areas
 from macro_fem.scene.meshing.edges import boundary_loops
 from macro_fem.scene.tables import MOST_MM
 from rve.common import Array, InputError, atomic_path, require
@@ -299,11 +299,9 @@ def write_outline(path: Path, mesh: Any) -> None:
 
     document = ezdxf.new(units=MM)
     document.layers.add("CURTAIN")
-    for loop in boundary_loops(mesh):
-        points = mesh.p[:, loop[1:]].T
-        before, after = points - np.roll(points, 1, axis=0), np.roll(points, -1, axis=0) - points
-        lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
-        corners = points[(np.abs(cross(before, after)) > ROUNDING * lengths) | ((before * after).sum(axis=1) < 0.0)]
-        document.modelspace().add_lwpolyline(corners.tolist(), close=True, dxfattribs={"layer": "CURTAIN"})
+    rings = [shapely.normalize(shapely.Polygon(mesh.p[:, loop].T)) for loop in boundary_loops(mesh)]  # from a corner
+    for ring in shapely.simplify(rings, ROUNDING * float(np.ptp(mesh.p, axis=1).max()), preserve_topology=False):
+        corners = shapely.get_coordinates(ring)[:-1].tolist()
+        document.modelspace().add_lwpolyline(corners, close=True, dxfattribs={"layer": "CURTAIN"})
     with atomic_path(path) as temporary:
         document.saveas(temporary)
