@@ -51,8 +51,8 @@ CAUSES = {
     "Interior is disconnected": "holes cut the sheet in parts: keep one",
 }
 """What shapely finds wrong with an outline and its holes, in words of a drawing."""
-BEZIERS = 12
-"""Cubic pieces of a circle, 4e-7 of its radius off it. More: small holes have more corners."""
+BEZIERS = 4
+"""Cubic pieces of an arc in a polyline, 4e-6 of its radius off a half circle. Each has a corner or more."""
 DAMAGE = (ArithmeticError, AttributeError, LookupError, OSError, RuntimeError, StopIteration, TypeError, ValueError)
 """What damaged data lead to in ezdxf besides its own errors."""
 MOST_PARTS = 200_000
@@ -171,15 +171,23 @@ def _points(entity: Any, chord: float) -> Array:
 
     Vertices that guide a smoothed polyline are no part of it.
     """
+    from ezdxf.entities import Ellipse
+    from ezdxf.math import rational_bspline_from_ellipse
     from ezdxf.path import make_path, to_bsplines_and_vertices
 
-    if entity.dxftype() == "POLYLINE":
+    kind = entity.dxftype()
+    if kind in ("CIRCLE", "ARC", "ELLIPSE"):
+        if kind != "ELLIPSE" and not entity.dxf.radius:
+            return np.zeros((0, 3))
+        ellipse = (entity if kind == "ELLIPSE" else Ellipse.from_arc(entity)).construction_tool()
+        return _chords(rational_bspline_from_ellipse(ellipse), chord)
+    if kind == "SPLINE":
+        return _chords(entity.construction_tool(), chord)
+    if kind == "POLYLINE":
         if not (entity.is_2d_polyline or entity.is_3d_polyline):
             raise InputError("POLYLINE: a mesh is not read as a curve; explode it or turn its layer off")
         entity.vertices[:] = [one for one in entity.vertices if not one.dxf.flags & 16]
-    if entity.dxftype() == "SPLINE":
-        return _chords(entity.construction_tool(), chord)
-    parts = to_bsplines_and_vertices(make_path(entity, segments=BEZIERS))
+    parts = to_bsplines_and_vertices(make_path(entity, segments=3 * BEZIERS))  # a third of these for an arc
     points = [np.array(one, dtype=float) if isinstance(one, list) else _chords(one, chord) for one in parts]
     return np.vstack([np.zeros((0, 3)), *points])
 
