@@ -22,7 +22,7 @@ from macro_fem.demand.rings import OnDemand
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile
-from macro_fem.scene.sites import Hanging
+from macro_fem.scene.support_kinds import Hanging
 from macro_fem.trials import VARIED, Row, Sought, Trials, Who
 from rve.common import Array, InputError, checked, csv_text, digits, job, noted_if_stopped, shown, write_text
 from rve.common.commands.sweeps import side_by_side

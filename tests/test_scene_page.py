@@ -13,7 +13,7 @@ import macro_fem.scene.scene  # whose import makes all kinds known
 from macro_fem import Ball
 from macro_fem.scene.obstacles import Obstacle
 from macro_fem.scene.shapes import Shape
-from macro_fem.scene.sites import Support
+from macro_fem.scene.support_kinds import Support
 from macro_fem.scene.tables import LiveLoad
 from rve.common import types_of
 from rve.common.typed import typed

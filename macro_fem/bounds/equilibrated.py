@@ -29,8 +29,7 @@ from macro_fem.fem.hung_law import largest_stretch
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.loads import nodal_forces
 from macro_fem.scene.meshing.mesh import CurtainMesh, facet_nodes
-from macro_fem.scene.sites import Sliding, sliding_nodes
-from macro_fem.scene.supports import Supports, pin_sliding, straight_bars
+from macro_fem.scene.supports import Sliding, Supports, pin_sliding, sliding_nodes, straight_bars
 from macro_fem.scene.tables import PointLoad
 from macro_fem.solvers.walls import Walls
 from rve.common import Array

@@ -31,7 +31,7 @@ from macro_fem.scene.checks import check_sizes
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import Sphere
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.sites import Support
+from macro_fem.scene.support_kinds import Support
 from macro_fem.scene.tables import Item
 from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.path import PathResult, times

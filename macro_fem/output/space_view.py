@@ -13,7 +13,7 @@ from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
 from macro_fem.output.forces import FORCES
 from macro_fem.output.images import Draw
 from macro_fem.scene.obstacles import Box, Cylinder, Floor, PlacedObstacle, Sphere, Wall, unit
-from macro_fem.scene.sites import Hanging
+from macro_fem.scene.support_kinds import Hanging
 from macro_fem.scene.tables import in_3d
 from rve.common import Array, digits
 from rve.common.drawing import space

@@ -23,8 +23,7 @@ from macro_fem.scene.meshing.mesh import build_mesh, edge_nodes
 from macro_fem.scene.obstacles import Body
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import Rectangle
-from macro_fem.scene.sites import Sliding
-from macro_fem.scene.supports import build_supports, check_pins, pin_sliding
+from macro_fem.scene.supports import Sliding, build_supports, check_pins, pin_sliding
 from macro_fem.scene.tables import Bar, Wind, in_3d
 from rve import Cell, FiniteMesh, reference_cell
 from rve.common import Array, Index, InputError

@@ -10,8 +10,7 @@ from macro_fem.scene.moving import Ball, scaled
 from macro_fem.scene.obstacles import Body
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
-from macro_fem.scene.sites import Hanging
-from macro_fem.scene.support_kinds import Edge, Track
+from macro_fem.scene.support_kinds import Edge, Hanging, Track
 from macro_fem.scene.tables import NO_MOVE, Bar, LiveLoad, PatchLoad, Timed, Vector, Wind, in_3d
 from rve.common.typed import BadField
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar
 import numpy as np
 from msgspec import Meta
 
-from macro_fem.scene.tables import Item, Length, Name, Point3, Timed
+from macro_fem.scene.tables import Item, Length, Mass, Name, Point3, Timed
 from rve.common import Typed
 
 Kind = TypeVar("Kind", bound=Timed)
@@ -51,10 +51,14 @@ class Ball(Item, kind="sphere"):
     kinds: ClassVar[dict[str, type[Any]]] = {}
     table = "body"
     radius: Length
-    mass: Annotated[float, Meta(gt=0.0, le=1e9, title="kg")]
+    mass: Mass
     at: Point3
     velocity: tuple[Speed, Speed, Speed] = (0.0, 0.0, 0.0)
     name: Name = "ball"
+
+    def check(self) -> None:
+        if self.mass == 0.0:
+            self.refuse("mass = 0: must be greater than 0")
 
     @property
     def space_reason(self) -> str:

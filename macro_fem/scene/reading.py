@@ -39,8 +39,9 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
         if name not in tables and _home(name):
             raise InputError(f"{source}: {shown(name)}: unknown table; {_home(name)}")
     refuse_unknown(data, tables, f"{source}:", "table")
-    for entry in _entries(data.get("load")):
-        if "kind" in entry:
+    loads = data.get("load")
+    for entry in loads if isinstance(loads, list) else [loads]:
+        if isinstance(entry, dict) and "kind" in entry:
             kind = entry["kind"]
             told = f"write [[load.{kind}]]" if kind in [*LiveLoad.kinds] else not_one_of(kind, LiveLoad.kinds)
             raise InputError(f"{source}: [load] kind = {shown(kind)}: {told}")
@@ -72,11 +73,6 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     scene = Scene(shape, tuple(items), **parts, source=Path(source), drawing=data["curtain"].get("file"), notes=notes)
     check_scene(scene)
     return scene
-
-
-def _entries(tables: Any) -> list[dict[str, Any]]:
-    """Tables of a list that may be a single one."""
-    return [one for one in (tables if isinstance(tables, list) else [tables]) if isinstance(one, dict)]
 
 
 def _home(word: Any) -> str:

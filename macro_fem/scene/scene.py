@@ -13,7 +13,7 @@ import numpy as np
 from macro_fem.scene.moving import Ball, Motion
 from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.shapes import Mesh, MeshFile, Shape
-from macro_fem.scene.sites import Support
+from macro_fem.scene.support_kinds import Support
 from macro_fem.scene.tables import Combination, Item, Load, Solver, Vector, in_3d, leaves_plane
 from rve.common import Array, InputError, check_fields, shown
 from rve.common.materials import described

@@ -1,24 +1,156 @@
-"""Kinds of supports: what holds the curtain, each a class with its keys and what it holds."""
+"""Supports: what they hold of the outline before it is meshed, and how they hold the nodes of the mesh there.
+
+A support tells `places`: single points of the outline, or a named edge as a whole. The mesher has nodes there, and
+`hold` makes constraints of them.
+"""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Meta
 
+from macro_fem.fem.cells import padded
 from macro_fem.scene import tables
 from macro_fem.scene.meshing.edges import UPRIGHT, Border, Line
 from macro_fem.scene.obstacles import unit
-from macro_fem.scene.sites import PARALLEL, Hanging, Held, Places, Support, SupportNodes, sloping
-from macro_fem.scene.tables import LEAST_MM, NO_MOVE, Way, in_3d, leaves_plane
+from macro_fem.scene.tables import LEAST_MM, NO_MOVE, Time, Timed, Way, in_3d, leaves_plane
 from rve.common import Array, InputError
+from rve.common.records import Index
 
+NONE = np.zeros(0, np.int64)
+PARALLEL = 1e-9
+"""Unit vectors that differ by less than this are one direction."""
 DRAWN = 200
 """Points of a track in pictures."""
 AGREES = 0.01
 """A fullness that is given besides a track of known length may differ from theirs by this part of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """What one support holds: `nodes` (k,), `mask` (k, d) of components and their `positions` (k, d); d = 3 at first.
+
+    `facets` (m,): the facets of the mesh that are held as a whole; none for corners, hooks, runners and points.
+    `slide` (d,): the direction, along no axis, in which all nodes slide freely from their positions; None if they do
+    not. A direction along an axis is a component that is not in the mask. `track` (m, 3): points of the curve on which
+    they hang, None without one.
+    """
+
+    name: str
+    nodes: Index
+    mask: np.ndarray
+    positions: Array
+    facets: np.ndarray = field(default_factory=NONE.copy, repr=False)
+    slide: Array | None = None
+    track: Array | None = field(default=None, repr=False)
+
+    def components(self, shape: tuple[int, ...]) -> np.ndarray:
+        """Whether it holds each component of all nodes, of this shape (n_nodes, d)."""
+        held = np.zeros(shape, bool)
+        held[self.nodes] = self.mask
+        return held
+
+
+class Places(NamedTuple):
+    """Where a support holds an outline: single `points` (k, 2), or the named `edge` as a whole.
+
+    Of hooks: the longest line of the edge and the longest pitch, mm. `nodes` (k,): those of a mesh at the points.
+    """
+
+    points: Array = np.zeros((0, 2))
+    edge: str = ""
+    length: float = 0.0
+    pitch: float = 0.0
+    nodes: Index = NONE
+
+
+@dataclass(frozen=True, kw_only=True)
+class Support(Timed):
+    """What holds the curtain; in motion until `release`, s, where `history` scales `move` and `drawn`."""
+
+    kinds: ClassVar[dict[str, type[Any]]] = {}
+    table = "support"
+    edge_needed: ClassVar[str | None] = "top"
+    one: ClassVar[str] = "point"
+    """What results call one of the points that it holds."""
+    release: Time | None = field(default=None, repr=False)
+
+    def places(self, border: Border) -> Places:
+        """Where it holds a sheet with this border, divided for a mesh, by default all of its edge.
+
+        InputError if there is no such place.
+        """
+        return Places(edge=getattr(self, "edge", self.edge_needed) or "")
+
+    def hold(self, border: Border, nodes: Index) -> Held:
+        """The nodes (k,) of a mesh with this border, held in space and not yet moved; those of an edge are in order.
+
+        InputError if it asks for what has no effect.
+        """
+        raise NotImplementedError
+
+    def _held(self, name: str, border: Border, nodes: Index, target: Array, held: str = "both") -> Held:
+        """The nodes held at places `target` (k, 2); InputError for a gather that moves none of them."""
+        mask = np.tile([held == "both" or axis in held for axis in "xyz"], (len(target), 1))
+        gather, way = getattr(self, "gather", 1.0), target - border.points[nodes]
+        if gather != 1.0 and np.abs(way[mask[:, :2]]).max(initial=0.0) <= 1e-9 * border.size:
+            raise InputError(f"[support] gather = {gather:g}: has no effect on {name}, which it holds as it is")
+        return Held(name, nodes, mask, padded(target))
+
+    def _narrowed(self, border: Border, nodes: Index) -> Array:
+        """Places (k, 2) of nodes of the top edge, narrowed by `gather` about the middle of the curtain."""
+        middle = 0.5 * (border.points[:, 0].min() + border.points[:, 0].max())
+        share = np.array([getattr(self, "gather", 1.0), 1.0])
+        return np.asarray([middle, 0.0] + share * (border.points[nodes] - [middle, 0.0]))
+
+
+class Hanging(Support):
+    """A support that may hold single points of the top edge, evenly spaced by its `pitch` or `count`."""
+
+    pitch: float | None
+    count: int | None
+
+    def check(self) -> None:
+        if self.pitch is not None and self.count is not None:
+            self.refuse(f"count = {self.count}: is not used together with pitch")
+
+    @property
+    def has_hooks(self) -> bool:
+        """Whether it holds single points."""
+        return self.pitch is not None or self.count is not None
+
+    def spaces(self, length: float) -> int:
+        """How many spaces between hooks fit an open line of this length, mm: the number nearest to `pitch`."""
+        if self.count is not None:
+            return self.count - 1
+        assert self.pitch is not None
+        return round(min(length / self.pitch, 1e9))
+
+    def places(self, border: Border) -> Places:
+        """Hooks, even from end to end of the lines of the top edge, or without them the whole edge.
+
+        InputError for a pitch that is longer than the edge, or finer than its facets.
+        """
+        if not self.has_hooks:
+            return super().places(border)
+        points, longest = [], (0.0, 0.0)
+        named = f"{self.where} count = {self.count}:" if self.pitch is None else f"{self.where} pitch = {self.pitch:g}:"
+        for line in border.lines("top"):
+            length, sides = float(line.arc[-1]), len(line.arc) - 1
+            if self.pitch is not None and self.pitch > length * (1.0 + 1e-9):
+                raise InputError(f"{named} is wider than the top edge, {length:g} mm")
+            number = self.spaces(length) + (1 if line.is_closed and self.count is not None else 0)
+            if number > sides:
+                raise InputError(
+                    f"{named} is finer than the mesh, whose nodes on the top edge are {length / sides:g} mm apart; "
+                    "use more cells"
+                )
+            longest = max(longest[0], length), max(longest[1], length / number)
+            points.append(line.at(np.linspace(0.0, length, number + 1)[: number if line.is_closed else None]))
+        return Places(np.concatenate(points), "", *longest)
 
 
 @dataclass(frozen=True)
@@ -34,8 +166,8 @@ class Corners(Support, kind="corners"):
     def places(self, border: Border) -> Places:
         return Places(border.points[border.nodes("top")[[0, -1]]])
 
-    def hold(self, nodes: SupportNodes) -> Held:
-        return self._held("corners", nodes, self._narrowed(nodes))
+    def hold(self, border: Border, nodes: Index) -> Held:
+        return self._held("corners", border, nodes, self._narrowed(border, nodes))
 
 
 @dataclass(frozen=True)
@@ -45,16 +177,16 @@ class Top(Support, kind="top"):
     gather: tables.Factor = 1.0
     move: Way = NO_MOVE
 
-    def hold(self, nodes: SupportNodes) -> Held:
-        return self._held("top", nodes, self._narrowed(nodes))
+    def hold(self, border: Border, nodes: Index) -> Held:
+        return self._held("top", border, nodes, self._narrowed(border, nodes))
 
 
 @dataclass(frozen=True)
 class Rail(Support, kind="rail"):
     """The top edge held in height, and in space in z too, free to slide sideways."""
 
-    def hold(self, nodes: SupportNodes) -> Held:
-        return self._held("rail", nodes, nodes.X, "yz")
+    def hold(self, border: Border, nodes: Index) -> Held:
+        return self._held("rail", border, nodes, border.points[nodes], "yz")
 
 
 @dataclass(frozen=True)
@@ -79,8 +211,9 @@ class Hooks(Hanging, kind="hooks"):
             self.refuse("pitch: is missing; give it in mm, or the count of hooks")
         super().check()
 
-    def hold(self, nodes: SupportNodes) -> Held:
-        return self._held("hooks", nodes, self._narrowed(nodes), "yz" if self.sliding else "both")
+    def hold(self, border: Border, nodes: Index) -> Held:
+        held = "yz" if self.sliding else "both"
+        return self._held("hooks", border, nodes, self._narrowed(border, nodes), held)
 
 
 @dataclass(frozen=True)
@@ -119,18 +252,17 @@ class Edge(Support, kind="edge"):
             return f"along = {[list(point) for point in self.along]} leaves the plane"
         return super().space_reason
 
-    def hold(self, nodes: SupportNodes) -> Held:
+    def hold(self, border: Border, nodes: Index) -> Held:
         if self.along is not None:
-            return self._on_line(nodes, *(np.array(point[: nodes.d]) for point in self.along))
-        X = nodes.X
+            return self._on_line(border, *map(np.array, self.along))
+        X = border.points[nodes]
         centre = 0.5 * (X.min(axis=0) + X.max(axis=0))
-        return self._held(f"edge {self.edge}", nodes, centre + self.gather * (X - centre), self.held)
+        return self._held(f"edge {self.edge}", border, nodes, centre + self.gather * (X - centre), self.held)
 
-    def _on_line(self, nodes: SupportNodes, first: Array, last: Array) -> Held:
-        """The edge evenly between two points (d,) of a straight line, held or free to slide."""
-        line = _in_sense(nodes.border.line(self.edge, f"{self.where} edge"), last - first)
-        places = nodes.moved(first + (line.arc / line.arc[-1])[:, None] * (last - first), self.move)
-        e = unit(last - first)[: nodes.d]
+    def _on_line(self, border: Border, first: Array, last: Array) -> Held:
+        """The edge evenly between two points (3,) of a straight line, held or free to slide."""
+        line, e = _in_sense(border.line(self.edge, f"{self.where} edge"), last - first), unit(last - first)
+        places = first + (line.arc / line.arc[-1])[:, None] * (last - first)
         mask = np.ones(places.shape, bool)
         if self.sliding and not sloping(e):
             mask[:, np.abs(e) > PARALLEL] = False
@@ -148,6 +280,11 @@ def _in_sense(line: Line, way: Array) -> Line:
     return line if sense > 0.0 else Line(line.points[::-1], line.nodes[::-1])
 
 
+def sloping(direction: Array) -> bool:
+    """Whether a unit vector is along no axis."""
+    return bool(np.count_nonzero(np.abs(direction) > PARALLEL) > 1)
+
+
 @dataclass(frozen=True)
 class Point(Support, kind="point"):
     """The material point `at` held and moved by `move` mm; `rings_per_hook` as for hooks."""
@@ -161,8 +298,8 @@ class Point(Support, kind="point"):
     def places(self, border: Border) -> Places:
         return Places(np.array([self.at]))
 
-    def hold(self, nodes: SupportNodes) -> Held:
-        return self._held(f"point ({self.at[0]:g}, {self.at[1]:g})", nodes, nodes.X, self.held)
+    def hold(self, border: Border, nodes: Index) -> Held:
+        return self._held(f"point ({self.at[0]:g}, {self.at[1]:g})", border, nodes, border.points[nodes], self.held)
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,14 +381,13 @@ class Track(Hanging, kind="track"):
     def space_reason(self) -> str:
         return "kind = 'track' leaves the plane"
 
-    def hold(self, nodes: SupportNodes) -> Held:
-        edge = nodes.border.line("top", f"{self.where} needs edge")
-        curve, length, number, s = self.curve(edge, self.where), edge.arc[-1], edge.nodes, edge.arc
+    def hold(self, border: Border, nodes: Index) -> Held:
+        edge = border.line("top", f"{self.where} needs edge")
+        curve, length, s = self.curve(edge, self.where), edge.arc[-1], edge.arc
         if self.has_hooks:
-            number, s = nodes.number, np.linspace(0.0, length, len(nodes.number))
-        places = self.on_track(curve, s, length)
-        drawn = curve.at(np.linspace(0.0, curve.length, DRAWN))
-        return Held("track", number, np.ones(places.shape, bool), places, track=drawn)
+            s = np.linspace(0.0, length, len(nodes))
+        places, drawn = self.on_track(curve, s, length), curve.at(np.linspace(0.0, curve.length, DRAWN))
+        return Held("track", nodes if self.has_hooks else edge.nodes, np.ones(places.shape, bool), places, track=drawn)
 
     def on_track(self, curve: Curve, s: Array, edge_length: float) -> Array:
         """Places (n, 3) on the track of material points at the distances s (n,) along the top edge, mm."""

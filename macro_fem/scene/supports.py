@@ -1,7 +1,13 @@
-"""Supports of a scene as held components of nodes; what they contradict, leave to fall or let slide is refused."""
+"""Supports of a scene as held components of nodes; what they contradict, leave to fall or let slide is refused.
+
+A node that slides on a line along the unit vector e is at x = x_held + e s with one unknown s: a column of T. On a line
+along an axis the component is simply free, and needs no column. A node on two lines that cross, or on a line and held
+as a whole by another support, is held.
+"""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from scipy import sparse
@@ -13,9 +19,27 @@ from macro_fem.scene.meshing.edges import in_order
 from macro_fem.scene.meshing.mesh import CurtainMesh, edge_nodes
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.sites import PARALLEL, Held, Sliding, SupportNodes, sliding_nodes, sloping
-from macro_fem.scene.tables import Bar
+from macro_fem.scene.support_kinds import NONE, PARALLEL, Held, sloping
+from macro_fem.scene.tables import NO_MOVE, Bar
 from rve.common import Array
+from rve.common.records import Index
+
+
+@dataclass(frozen=True, eq=False)
+class Sliding:
+    """SupportNodes (m,) that slide along unit vectors `direction` (m, d)."""
+
+    nodes: Index
+    direction: Array
+
+    @classmethod
+    def none(cls, d: int) -> Self:
+        """No node."""
+        return cls(NONE, np.zeros((0, d)))
+
+    def along(self, force: Array) -> Array:
+        """The components (m,) of nodal forces (n_nodes, d) along the directions."""
+        return np.asarray((force[self.nodes] * self.direction).sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,23 +144,34 @@ def build_supports(
 
 def _held(scene: Scene, number: int, mesh: CurtainMesh, disc: Discretization, factor: float) -> Held:
     """What a support holds of a discretisation: of an edge also its facets, and of P2 their middles between ends."""
-    item, places, border = scene.support[number], mesh.places[number], mesh.border
-    nodes = border.nodes(places.edge) if places.edge else places.nodes
+    item, places, d = scene.support[number], mesh.places[number], scene.d
     with scene.in_errors():
-        held = item.hold(SupportNodes(nodes, border, scene.d, factor))
-    if not places.edge:
+        held = item.hold(mesh.border, mesh.border.nodes(places.edge) if places.edge else places.nodes)
+    positions = held.positions[:, :d] + factor * scene.vector(getattr(item, "move", NO_MOVE))
+    slide, facets = None if held.slide is None else held.slide[:d], mesh.edges.get(places.edge, NONE)
+    held = replace(held, mask=held.mask[:, :d], positions=positions, slide=slide, facets=facets)
+    if disc.element != "P2" or not len(facets):
         return held
-    held = replace(held, facets=mesh.edges[places.edge])
-    if disc.element != "P2":
-        return held
-    place = np.zeros(len(border.points), np.int64)
+    place = np.zeros(len(mesh.border.points), np.int64)
     place[held.nodes] = np.arange(len(held.nodes))
     ends = place[mesh.mesh.facets[:, held.facets]]
-    nodes = np.concatenate([held.nodes, len(border.points) + held.facets])
+    nodes = np.concatenate([held.nodes, len(mesh.border.points) + held.facets])
     order = in_order(disc.nodes[nodes])
     mask = np.concatenate([held.mask, held.mask[ends[0]]])[order]
     positions = np.concatenate([held.positions, held.positions[ends].mean(axis=0)])[order]
     return replace(held, nodes=nodes[order], mask=mask, positions=positions)
+
+
+def sliding_nodes(lines: list[tuple[Index, Array]], whole: np.ndarray, d: int) -> Sliding:
+    """The nodes of lines (nodes (k,), unit vector (d,)), but those on two that cross and those held as a `whole`."""
+    way = np.zeros((len(whole), d))
+    fixed = whole.copy()
+    for nodes, e in lines:
+        before = way[nodes]
+        fixed[nodes] |= before.any(axis=1) & (np.abs(before @ e) < 1.0 - PARALLEL)
+        way[nodes] = e
+    free = np.flatnonzero(way.any(axis=1) & ~fixed)
+    return Sliding(free, way[free])
 
 
 def straight_bars(scene: Scene, mesh: CurtainMesh, disc: Discretization, mask: np.ndarray) -> sparse.csc_matrix | None:

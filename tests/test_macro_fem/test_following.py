@@ -10,8 +10,7 @@ from macro_fem import read_scene
 from macro_fem.curtain import make_problem, solve_problem, wind_density
 from macro_fem.fem.assembly import load_vector
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.sites import Sliding
-from macro_fem.scene.supports import Supports
+from macro_fem.scene.supports import Sliding, Supports
 
 DISK = 100.0
 RADIUS = 0.762760 * DISK

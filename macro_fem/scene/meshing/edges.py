@@ -70,12 +70,6 @@ class Border:
     edges: dict[str, Index]
 
     @property
-    def middle(self) -> float:
-        """The middle of its x, mm."""
-        x = self.points[:, 0]
-        return float(0.5 * (x.min() + x.max()))
-
-    @property
     def size(self) -> float:
         """Diagonal of the bounding box, mm."""
         return float(np.hypot(*np.ptp(self.points, axis=0)))
@@ -86,8 +80,19 @@ class Border:
         return nodes[in_order(self.points[nodes])]
 
     def lines(self, name: str) -> list[Line]:
-        """The lines that a named edge is made of."""
-        return paths(self.edges[name], self.points)
+        """The lines that a named edge is made of, each from its left end; closed ones repeat their first point."""
+        points, pairs, found = self.points, self.edges[name], []
+        nodes = np.unique(pairs)
+        tree = cKDTree(points[nodes])
+        for part in shapely.get_parts(shapely.line_merge(shapely.multilinestrings(points[pairs]))):
+            path, ends = nodes[tree.query(shapely.get_coordinates(part))[1]], [0, -1]
+            if path[0] == path[-1]:
+                path = np.roll(path[:-1], -np.lexsort(points[path[:-1]].T[::-1])[0])
+                path, ends = np.append(path, path[0]), [1, -2]
+            first, last = points[path[ends]].tolist()
+            path = path[::-1] if last < first else path
+            found.append(Line(points[path], path))
+        return sorted(found, key=lambda line: (line.is_closed, *line.points[0]))
 
     def line(self, name: str, where: str) -> Line:
         """A named edge from its left or lower end; InputError, which begins with `where`, if it is no open line."""
@@ -160,22 +165,6 @@ def boundary_loops(mesh: Any) -> list[Index]:
             loops.append(nodes if (signed_areas(mesh.p[:, nodes].T) > 0.0) == (loops is outer) else nodes[::-1])
     digits = 1e-6 * float(np.ptp(mesh.p, axis=1).max())
     return outer + sorted(holes, key=lambda loop: tuple(np.round(mesh.p[:, loop[1:]].mean(axis=1) / digits)))
-
-
-def paths(pairs: np.ndarray, points: Array) -> list[Line]:
-    """Lines of nodes, each from its left end, made of pairs (m, 2) of neighbours; closed ones repeat their first."""
-    nodes, found = np.unique(pairs), []
-    tree = cKDTree(points[nodes])
-    for part in shapely.get_parts(shapely.line_merge(shapely.multilinestrings(points[pairs]))):
-        path = nodes[tree.query(shapely.get_coordinates(part))[1]]
-        ends = [0, -1]
-        if path[0] == path[-1]:
-            path = np.roll(path[:-1], -np.lexsort(points[path[:-1]].T[::-1])[0])
-            path, ends = np.append(path, path[0]), [1, -2]
-        first, last = points[path[ends]].tolist()
-        path = path[::-1] if last < first else path
-        found.append(Line(points[path], path))
-    return sorted(found, key=lambda line: (line.is_closed, *line.points[0]))
 
 
 class Rim(NamedTuple):

@@ -22,7 +22,7 @@ from macro_fem.scene.meshing.nodes import with_nodes_at
 from macro_fem.scene.meshing.sheet_mesh import read_mesh
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
-from macro_fem.scene.sites import Hanging, Places
+from macro_fem.scene.support_kinds import Hanging, Places
 from macro_fem.scene.tables import PatchLoad, PointLoad
 from rve.common import Array, InputError, shown
 from rve.common.records import Index
@@ -75,22 +75,13 @@ class CurtainMesh:
     @property
     def sides(self) -> Array:
         """Every facet from its first to its second end (n_facets, 2), mm."""
-        return _sides(self.mesh)
+        first, second = self.mesh.p.T[self.mesh.facets]
+        return np.asarray(second - first)
 
     @property
     def longest_side(self) -> float:
         """Length of the longest side of a cell, mm."""
-        return _longest_side(self.mesh)
-
-
-def _sides(mesh: Any) -> Array:
-    """Every facet (n_facets, 2) of a scikit-fem mesh from its first to its second end."""
-    first, second = mesh.p.T[mesh.facets]
-    return np.asarray(second - first)
-
-
-def _longest_side(mesh: Any) -> float:
-    return float(np.hypot(*_sides(mesh).T).max())
+        return float(np.hypot(*self.sides.T).max())
 
 
 class DividedSheet(NamedTuple):
@@ -118,15 +109,12 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     single = [number for number, one in enumerate(places) if not one.edge]
     single.sort(key=lambda number: not places[number].pitch)  # hooks first
     mesh, numbers = sheet.fill()
-    wanted = [
-        (f"[support] {scene.support[number].one} at [{x:g}, {y:g}]", (x, y))
-        for number in single
-        for x, y in places[number].points.tolist()
-    ]
-    loads: list[PointLoad | PatchLoad] = [*scene.of(PointLoad)]
-    loads += [patch for patch in scene.of(PatchLoad) if patch.radius < _longest_side(mesh)]
-    wanted += [(f"{one.where} at = {list(one.at)}", one.at) for one in loads]
-    lines, wheres = {name: numbers[of] for name, of in sheet.border.edges.items()}, [what for what, _ in wanted]
+    plain = CurtainMesh(mesh, sheet.pattern, {})
+    wanted = [(scene.support[number].where, at) for number in single for at in places[number].points.tolist()]
+    wanted += [(one.where, [*one.at]) for one in scene.of(PointLoad)]
+    wanted += [(one.where, [*one.at]) for one in scene.of(PatchLoad) if one.radius < plain.longest_side]
+    lines = {name: numbers[pairs] for name, pairs in sheet.border.edges.items()}
+    wheres = [f"{where} at {np.round(at, 9).tolist()}" for where, at in wanted]
     with scene.in_errors():
         mesh, lines, nodes = with_nodes_at(mesh, lines, np.array([at for _, at in wanted]).reshape(-1, 2), wheres)
     parts = np.split(nodes, np.cumsum([len(places[number].points) for number in single]))

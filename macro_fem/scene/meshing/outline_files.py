@@ -18,7 +18,7 @@ import shapely
 from scipy.interpolate import BSpline
 from scipy.spatial import cKDTree
 
-from macro_fem.fem.cells import components, cross, signed_areas
+from macro_fem.fem.cells import components, signed_areas
 from macro_fem.scene.meshing.edges import boundary_loops
 from macro_fem.scene.tables import MOST_MM
 from rve.common import Array, InputError, atomic_path, require
@@ -51,8 +51,8 @@ CAUSES = {
     "Interior is disconnected": "holes cut the sheet in parts: keep one",
 }
 """What shapely finds wrong with an outline and its holes, in words of a drawing."""
-BEZIERS = 12
-"""Cubic pieces of a circle, 4e-7 of its radius off it. More: small holes have more corners."""
+BEZIERS = 4
+"""Cubic pieces of an arc in a polyline, 4e-6 of its radius off a half circle. Each has a corner or more."""
 DAMAGE = (ArithmeticError, AttributeError, LookupError, OSError, RuntimeError, StopIteration, TypeError, ValueError)
 """What damaged data lead to in ezdxf besides its own errors."""
 MOST_PARTS = 200_000
@@ -171,15 +171,23 @@ def _points(entity: Any, chord: float) -> Array:
 
     Vertices that guide a smoothed polyline are no part of it.
     """
+    from ezdxf.entities import Ellipse
+    from ezdxf.math import rational_bspline_from_ellipse
     from ezdxf.path import make_path, to_bsplines_and_vertices
 
-    if entity.dxftype() == "POLYLINE":
+    kind = entity.dxftype()
+    if kind in ("CIRCLE", "ARC", "ELLIPSE"):
+        if kind != "ELLIPSE" and not entity.dxf.radius:
+            return np.zeros((0, 3))
+        ellipse = (entity if kind == "ELLIPSE" else Ellipse.from_arc(entity)).construction_tool()
+        return _chords(rational_bspline_from_ellipse(ellipse), chord)
+    if kind == "SPLINE":
+        return _chords(entity.construction_tool(), chord)
+    if kind == "POLYLINE":
         if not (entity.is_2d_polyline or entity.is_3d_polyline):
             raise InputError("POLYLINE: a mesh is not read as a curve; explode it or turn its layer off")
         entity.vertices[:] = [one for one in entity.vertices if not one.dxf.flags & 16]
-    if entity.dxftype() == "SPLINE":
-        return _chords(entity.construction_tool(), chord)
-    parts = to_bsplines_and_vertices(make_path(entity, segments=BEZIERS))
+    parts = to_bsplines_and_vertices(make_path(entity, segments=3 * BEZIERS))  # a third of these for an arc
     points = [np.array(one, dtype=float) if isinstance(one, list) else _chords(one, chord) for one in parts]
     return np.vstack([np.zeros((0, 3)), *points])
 
@@ -243,16 +251,14 @@ def _joined(curves: list[Array], size: float) -> tuple[list[Array], list[str]]:
     given = np.concatenate([curve[[0, -1]] for curve in curves])
     node = components(cKDTree(given).query_pairs(JOINT * size, output_type="ndarray"), len(given))[1]
     places = given[np.unique(node, return_index=True)[1]]
-    closed, pieces = list[Array](), list[Array]()
-    is_open = node[::2] != node[1::2]
-    for curve, (first, last), apart in zip(curves, node.reshape(-1, 2), is_open, strict=True):
-        (pieces if apart else closed).append(np.vstack([places[first], curve[1:-1], places[last]]))
-    meet = np.bincount(node.reshape(-1, 2)[is_open].ravel(), minlength=len(places))
+    ends = node.reshape(-1, 2)
+    pieces = [np.vstack([places[a], curve[1:-1], places[b]]) for curve, (a, b) in zip(curves, ends, strict=True)]
+    meet = np.bincount(ends[ends[:, 0] != ends[:, 1]].ravel(), minlength=len(places))
     if (loose := places[meet == 1]).size:
         width, other = (part[:, 1] for part in cKDTree(loose).query(loose, k=2))
-        ends = sorted({(float(w), *sorted((a, int(b)))) for a, (w, b) in enumerate(zip(width, other, strict=True))})
-        listed = [f"{w:.4g} mm from {_place(loose[a])} to {_place(loose[b])}" for w, a, b in ends[:3]]
-        more = f" and {len(ends) - 3} more" if len(ends) > 3 else ""
+        gaps = sorted({(float(w), *sorted((a, int(b)))) for a, (w, b) in enumerate(zip(width, other, strict=True))})
+        listed = [f"{w:.4g} mm from {_place(loose[a])} to {_place(loose[b])}" for w, a, b in gaps[:3]]
+        more = f" and {len(gaps) - 3} more" if len(gaps) > 3 else ""
         raise InputError(
             f"curves do not close, gaps of {', '.join(listed)}{more}: draw them end to end, and remove what "
             "is no part of the sheet or turn its layer off"
@@ -262,7 +268,7 @@ def _joined(curves: list[Array], size: float) -> tuple[list[Array], list[str]]:
             f"{meet[many[0]]} curves meet at {_place(places[many[0]])}, one is drawn twice or no part of the outline: "
             "remove it, or turn its layer off"
         )
-    rings = closed + [shapely.get_coordinates(one) for one in shapely.get_parts(shapely.line_merge(_lines(pieces)))]
+    rings = [shapely.get_coordinates(one) for one in shapely.get_parts(shapely.line_merge(_lines(pieces)))]
     away = np.linalg.norm(given - places[node], axis=1)
     if away.max() <= ROUNDING * size:
         return rings, []
@@ -301,11 +307,9 @@ def write_outline(path: Path, mesh: Any) -> None:
 
     document = ezdxf.new(units=MM)
     document.layers.add("CURTAIN")
-    for loop in boundary_loops(mesh):
-        points = mesh.p[:, loop[1:]].T
-        before, after = points - np.roll(points, 1, axis=0), np.roll(points, -1, axis=0) - points
-        lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
-        corners = points[(np.abs(cross(before, after)) > ROUNDING * lengths) | ((before * after).sum(axis=1) < 0.0)]
-        document.modelspace().add_lwpolyline(corners.tolist(), close=True, dxfattribs={"layer": "CURTAIN"})
+    rings = [shapely.normalize(shapely.Polygon(mesh.p[:, loop].T)) for loop in boundary_loops(mesh)]  # from a corner
+    for ring in shapely.simplify(rings, ROUNDING * float(np.ptp(mesh.p, axis=1).max()), preserve_topology=False):
+        corners = shapely.get_coordinates(ring)[:-1].tolist()
+        document.modelspace().add_lwpolyline(corners, close=True, dxfattribs={"layer": "CURTAIN"})
     with atomic_path(path) as temporary:
         document.saveas(temporary)
