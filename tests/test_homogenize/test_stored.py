@@ -45,7 +45,7 @@ def test_files_of_version_0_2_are_read(tmp_path):
     """They tell the weave in the sidecar alone, and in words whether the stiffness is that of the rings."""
     table, law = read_table(OLD / "table.csv"), load_law(OLD / "law.json")
     assert (table.cell.weave, table.cell.grain, table.cell.reference) == ("4-in-1", "x", "locked")
-    assert (table.cell.material, table.joint) == (MATERIALS["titanium grade 2"], "welded")
+    assert (table.cell.material, table.origin.joint) == (MATERIALS["titanium grade 2"], "welded")
     assert table.options == DirectOptions(reference="locked")
     assert (law.cell, law.stiffness_is_measured, law.report.kind) == (table.cell, True, "outer")
     new = fit_table(OLD / "table.csv", FitOptions("outer")).law

@@ -123,7 +123,7 @@ def test_a_table_and_its_sidecar_belong_together(tmp_path, table):
     sidecar = json.loads(sidecar_path(one).read_text())
     assert sidecar["files"] == {"one.csv": checksum(one)}
     assert read_table(one).cell == table.cell
-    assert read_table(one).record == table.record
+    assert read_table(one).origin == table.origin
     one.rename(tmp_path / "renamed.csv")
     sidecar_path(one).rename(tmp_path / "renamed.json")
     assert len(read_table(tmp_path / "renamed.csv")) == 2

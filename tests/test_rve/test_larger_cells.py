@@ -114,10 +114,10 @@ def test_a_table_of_a_larger_cell_is_normal_and_does_no_less_work():
     work = double_dot(S, table.E)
     assert (work[:, None] - (S * WEIGHT) @ table.E.T).min() > -1e-9
     assert (work[:, None] - (S * WEIGHT) @ flat.E.T).min() > -1e-9
-    assert table.provenance["branches"]["rows_beyond_the_primitive_cell"] > 0
-    assert (table.provenance["cells"], table.provenance["centres"]) == ([2, 1], "space")
-    assert flat.provenance["bound_note"]
-    assert not table.provenance["bound_note"]
+    assert table.origin.notes["branches"]["rows_beyond_the_primitive_cell"] > 0
+    assert (table.origin.notes["cells"], table.origin.notes["centres"]) == ([2, 1], "space")
+    assert flat.origin.notes["bound_note"]
+    assert not table.origin.notes["bound_note"]
 
 
 def test_options_of_larger_cells(tmp_path):

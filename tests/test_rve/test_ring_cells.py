@@ -224,7 +224,7 @@ def jointed(name, loads=((0.0, 20.0, 20.0), (90.0, 30.0, 60.0))):
 
 def test_butted_rings_are_weaker_softer_and_worst_at_the_worst_angle():
     welded, worst = jointed("welded"), jointed("butted")
-    assert (worst.joint, welded.joint) == ("butted:worst", "welded")
+    assert (worst.origin.joint, welded.origin.joint) == ("butted:worst", "welded")
     assert (worst.strength > 2.0 * welded.strength).all()
 
     def along(table):
