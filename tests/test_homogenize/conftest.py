@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from homogenize.laws import LockedRows, ring_cell
-from rve.common.tensor import WEIGHT, double_dot, from_disc, trace
+from rve.common import WEIGHT, double_dot, from_disc, trace
 
 
 class Ellipsoid:

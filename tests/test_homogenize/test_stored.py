@@ -10,8 +10,7 @@ from homogenize import ClothLaw, FitOptions, default_law, fit_table, load_law, r
 from homogenize.io import DEFAULT_LAW
 from homogenize.laws import law_record, ring_cell
 from homogenize.query import strain_answer
-from rve import MATERIALS, DirectOptions, read_table
-from rve.common import InputError
+from rve import MATERIALS, DirectOptions, InputError, read_table
 
 TABLE = Path(__file__).parent / "data" / "table190.csv"
 OLD = TABLE.parent / "version_0_2"

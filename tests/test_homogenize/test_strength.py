@@ -13,9 +13,8 @@ from homogenize.directions import Directions, tensile_part
 from homogenize.fitting import interval_of_table
 from homogenize.laws import Strength, read_strength, strength_of_table, work_along
 from homogenize.laws.strength import off_grid
-from rve import Material
-from rve.common import InputError
-from rve.common.tensor import WEIGHT, double_dot, mirror, trace
+from rve import InputError, Material
+from rve.common import WEIGHT, double_dot, mirror, trace
 
 from .conftest import Ellipsoid, disc_grid, table_of
 

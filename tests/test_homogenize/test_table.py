@@ -13,9 +13,8 @@ from benchmarks.shipped_law import shipped_record
 from homogenize import FitOptions, default_law, fit, locked_strain
 from homogenize.fitting import bounds_of, random_loads, rows_from_table
 from homogenize.io import DEFAULT_LAW
-from rve import read_table
-from rve.common import InputError
-from rve.common.tensor import double_dot, eigenvalues, trace
+from rve import InputError, read_table
+from rve.common import double_dot, eigenvalues, trace
 from rve.table import Origin
 
 DATA = Path(__file__).parent / "data"

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from rve import Cell, DirectOptions, grid, read_table, solve_table, support, with_rings, write_table
-from rve.common.tensor import WEIGHT, double_dot, dyad, mirror
-from rve.equilibrium.dead_load import LoadedCell
+from rve.common import WEIGHT, double_dot, dyad, mirror
+from rve.equilibrium import Equations, LoadedCell
 from rve.equilibrium.mixtures import best_mixture, equal_shares
-from rve.equilibrium.system import Equations
 from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, deformation_gradient, second_pk
 from rve.solve import reference_sides
 

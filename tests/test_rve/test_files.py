@@ -6,8 +6,8 @@ import stat
 
 import pytest
 
-from rve import Cell, read_table, solve_table, write_table
-from rve.common import InputError, check_out_file, check_out_job, checksum, job, sidecar_path
+from rve import Cell, InputError, read_table, solve_table, write_table
+from rve.common import check_out_file, check_out_job, checksum, job, sidecar_path
 
 OLD = {"a.txt": "old a", "sub/b.txt": "old b", "step_1.vtu": "old step"}
 NEW = {"a.txt": "new a", "sub/b.txt": "new b", "c.png": "new c"}

@@ -9,13 +9,11 @@ from click.testing import CliRunner
 
 from rve import WEAVES, Cell, DirectOptions, solve_table, support, with_rings
 from rve.cli import main
-from rve.common.tensor import WEIGHT, double_dot
+from rve.common import WEIGHT, double_dot
 from rve.directions import product
-from rve.equilibrium.dead_load import DeadLoad
-from rve.equilibrium.interior_point import unit_loads
+from rve.equilibrium import DeadLoad, Equations, unit_loads
 from rve.equilibrium.largest_work import UNSTABLE, in_cell
 from rve.equilibrium.limits import balanced, loose_motions
-from rve.equilibrium.system import Equations
 from rve.geometry import SIX_IN_ONE, moved, start_pose, strain_of, supercell, tiled, unlisted_gap, weave_sides
 from rve.solve import reference_sides
 

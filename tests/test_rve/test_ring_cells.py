@@ -5,12 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rve import Cell, DirectOptions, solve_table, with_rings
-from rve.common.materials import Material, named_material
-from rve.common.tensor import trace
-from rve.equilibrium.interior_point import solve_equilibrium
-from rve.equilibrium.limits import with_limits
-from rve.equilibrium.system import Equations
+from rve import Cell, DirectOptions, Material, named_material, solve_table, with_rings
+from rve.common import trace
+from rve.equilibrium import Equations, solve_equilibrium, with_limits
 from rve.geometry import FOUR_IN_ONE, cauchy_line_load, deformation, green_lagrange, second_pk, tangent_frame
 from rve.placed import central_forces
 from rve.solve import locked_block, reference_sides
