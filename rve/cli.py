@@ -4,7 +4,7 @@ How commands end: `rve.common.commands.command_line`.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -240,7 +240,7 @@ def table_items(
     return items
 
 
-def table_columns(record: dict[str, Any]) -> dict[str, Any]:
+def table_columns(record: Mapping[str, Any]) -> dict[str, Any]:
     """What sweep.csv says of a table, from its sidecar: cell, reference cell, areal mass, rows by status."""
     names = ("weave", "grain", "r1_mm", "r2_mm", "b_x_mm", "b_y_mm", "areal_mass_kg_per_m2")
     rows = record.get("rows", {})

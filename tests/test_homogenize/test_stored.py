@@ -54,6 +54,10 @@ def test_files_of_version_0_2_are_read(tmp_path):
     law.save(tmp_path / "law.json")
     again = load_law(tmp_path / "law.json")
     assert law_record(again) == law_record(law)
+    record = json.loads(json.dumps(law_record(with_material(law, {"material": "copper"}))))
+    del record["cell"]["material"]  # the sidecar of the table still says titanium
+    (tmp_path / "law.json").write_text(json.dumps(record))
+    assert load_law(tmp_path / "law.json").cell.material == MATERIALS["copper"]
 
 
 @pytest.mark.parametrize(("sides", "told"), [((12.646069623526, 11.0), ("4-in-1", "x")), ((11.0, 14.0), (None, "y"))])
