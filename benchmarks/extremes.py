@@ -13,12 +13,11 @@ from homogenize import MembraneLaw, default_law, ring_net
 from homogenize.laws import PolyhedralLaw
 from macro_fem import read_scene
 from macro_fem.curtain import make_problem, solve_problem
-from macro_fem.fem.hung_law import HungLaw
+from macro_fem.fem import HungLaw
 from macro_fem.scene.meshing.mesh import build_mesh
-from rve import Cell, StrainTable, solve_table
-from rve.common import InputError
+from rve import Cell, InputError, StrainTable, solve_table
 from rve.directions import product
-from rve.equilibrium.system import Equations
+from rve.equilibrium import Equations
 from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, Weave, cauchy_line_load
 from rve.simulation import ROUND_OFF, StewartTrinkleOptions, simulate
 

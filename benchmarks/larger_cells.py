@@ -12,8 +12,7 @@ import numpy as np
 from benchmarks.frame import table, table_text
 from benchmarks.measure import Row, least_seconds
 from rve import WEAVES, Cell, support
-from rve.common import Array
-from rve.common.tensor import from_disc
+from rve.common import Array, from_disc
 
 RATIOS = {
     "6-in-1": (6.0, 7.0, 8.0, 10.0, 11.0, 12.0, 13.0, 14.0, 16.0, 20.0, 30.0, 50.0, 100.0),

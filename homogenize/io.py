@@ -4,6 +4,7 @@
 """
 
 import pkgutil
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -78,7 +79,7 @@ def load_law(path: str | Path) -> StoredLaw:
     rows, report = provenance.pop("table_rows", None), provenance.pop("report", None)
     strength = None if entries.strength is None else read_strength(entries.strength, f"{where} strength")
     cell = None if entries.cell is None else _read_cell(entries.cell, provenance, f"{where} cell")
-    if cell is not None and cell.material is None and strength is not None:
+    if cell is not None and strength is not None:
         cell = replace(cell, material=strength.material)
     return replace(
         law_kinds()[entries.kind].from_dict(entries.parameters, f"{where} parameters"),
@@ -91,7 +92,7 @@ def load_law(path: str | Path) -> StoredLaw:
     )
 
 
-def _read_cell(cell: dict[str, Any], provenance: dict[str, Any], where: str) -> CellInfo:
+def _read_cell(cell: Mapping[str, Any], provenance: Mapping[str, Any], where: str) -> CellInfo:
     """The rings of a law. What files before version 0.3 do not tell is told by the sidecar of their table, else by the
     sides of the reference cell."""
     refuse_unknown(cell, types_of(CellInfo), where)
@@ -99,7 +100,7 @@ def _read_cell(cell: dict[str, Any], provenance: dict[str, Any], where: str) -> 
     sidecar = sidecar if isinstance(sidecar, dict) else {}
     options = sidecar.get("options")
     beside = sidecar | (options if isinstance(options, dict) else {})
-    told = {key: beside[key] for key in ("weave", "grain", "reference", "material") if key in beside} | cell
+    told = {key: beside[key] for key in ("weave", "grain", "reference", "material") if key in beside} | dict(cell)
     info = read_cell_info(told, where)
     if "weave" in told:
         return info
@@ -112,7 +113,7 @@ def _read_cell(cell: dict[str, Any], provenance: dict[str, Any], where: str) -> 
     return replace(info, weave=mesh.weave.name, grain=mesh.grain)
 
 
-def _is_measured(entries: LawEntries, provenance: dict[str, Any]) -> bool:
+def _is_measured(entries: LawEntries, provenance: Mapping[str, Any]) -> bool:
     """Whether the stiffness is that of the rings: files before version 0.3 say so in words, or by a stated number."""
     if entries.stiffness_is_measured is not None:
         return entries.stiffness_is_measured

@@ -4,7 +4,7 @@ How commands end: `rve.common.commands.command_line`.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -142,13 +142,13 @@ def _say_of_table(found: Any, out: Path) -> None:
     """Rows by status, and what is particular about some."""
     free = int((~found.unique & found.converged).sum())
     several = 0 if found.branch is None else int((found.branch != "slack").sum())
-    say(f"{out}: {found.converged.sum()} of {len(found)} rows converged in {found.provenance['wall_s']:.1f} s")
+    say(f"{out}: {found.converged.sum()} of {len(found)} rows converged in {found.origin.notes['wall_s']:.1f} s")
     if free:
         say(f"{free} rows leave the strain free (unique = 0); their E is the limit from inside the tensile cone")
     if several:
         say(f"{several} rows have several locked states; theirs is of largest work (column branch, JSON)")
-    if found.provenance["bound_note"]:
-        say(found.provenance["bound_note"])
+    if found.origin.notes["bound_note"]:
+        say(found.origin.notes["bound_note"])
     for status in sorted(set(found.status) - {"converged"}):
         say(f"{(found.status == status).sum()} rows {status}: {SENTENCES[str(status)]}")
 
@@ -240,7 +240,7 @@ def table_items(
     return items
 
 
-def table_columns(record: dict[str, Any]) -> dict[str, Any]:
+def table_columns(record: Mapping[str, Any]) -> dict[str, Any]:
     """What sweep.csv says of a table, from its sidecar: cell, reference cell, areal mass, rows by status."""
     names = ("weave", "grain", "r1_mm", "r2_mm", "b_x_mm", "b_y_mm", "areal_mass_kg_per_m2")
     rows = record.get("rows", {})

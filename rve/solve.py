@@ -20,7 +20,7 @@ from rve.geometry.cell import Cell, CellInfo, weave_axes
 from rve.geometry.contacts import unlisted_gap
 from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
 from rve.geometry.pose import Pose
-from rve.table import RowQuality, StrainTable
+from rve.table import Origin, RowQuality, StrainTable
 
 BLOCK = 512
 """Cases advanced together: enough to hide the overhead of Python, few enough to stay in the cache."""
@@ -132,8 +132,8 @@ def solve_table(
         raise InputError("--branches first follows the slack pose, which is the same in every cell: leave out --cells")
     else:
         table = table_rows(alpha, beta, states, info.sides_mm)
-    provenance = table_provenance(cell, table.status, time.perf_counter() - began)
-    return replace(table, cell=info, options=options, provenance=provenance | record)
+    notes = table_notes(cell, table.status, time.perf_counter() - began)
+    return replace(table, origin=Origin(info, options, notes=notes | record))
 
 
 def largest_table(
@@ -187,7 +187,7 @@ def table_rows(alpha: Array, beta: Array, states: LockedStates, sides: tuple[flo
     return StrainTable(alpha, beta, E, S, x2, x3, states.unique, found.status, quality, states=states)
 
 
-def table_provenance(cell: Cell, status: NDArray[np.str_], wall: float) -> dict[str, Any]:
+def table_notes(cell: Cell, status: NDArray[np.str_], wall: float) -> dict[str, Any]:
     """How a table by the direct solver came about, beside its cell and options: outcome, versions, wall time in s."""
     statuses, counts = np.unique(status, return_counts=True)
     return {

@@ -7,6 +7,7 @@ cone).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -54,20 +55,43 @@ class RowQuality(Rows):
     iterations: NDArray[np.intp]
 
 
+@dataclass(frozen=True)
+class Origin:
+    """Where a table comes from, as its sidecar file tells: the rings and their reference cell; options of the solver;
+    joint of the rings, None without their strength; and notes: method, rows by status, versions, wall time.
+
+    cell is None for a table whose file does not tell the rings, options where they are not those of this version.
+    """
+
+    cell: CellInfo | None = None
+    options: DirectOptions | None = None
+    joint: str | None = None
+    notes: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What the sidecar file says, but for the checksum."""
+        record: dict[str, Any] = {"format": TABLE_FORMAT, "format_version": 1}
+        if self.cell is not None:
+            metal = self.cell.material
+            record |= asdict(self.cell) | {"density_kg_per_mm3": metal and metal.density_kg_per_mm3}
+            record = {key: value for key, value in record.items() if value is not None and key != "reference"}
+        record |= {} if self.options is None else {"options": asdict(self.options)}
+        record |= {} if self.joint is None else {"compliance": "rings", "joint": self.joint}
+        return record | dict(self.notes)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class StrainTable(ByValue):
     """A strain-load table of n rows.
 
     alpha_deg, beta_deg (n,); E, S (n, 3); x2_mm, x3_mm (n, 2); unique (n,) bool; status (n,) str; quality: how well
-    each row is solved; compliance (n, 3, 3) dE/dS in mm/N or None; provenance: method, versions, wall time, and what
-    else its sidecar file says; states: the locked states of the direct solver, which are not written to files, None
-    for a table that was read. branch (n,) str or None: how the locked state was reached, "slack", "restart",
+    each row is solved; compliance (n, 3, 3) dE/dS in mm/N or None; origin: rings, options, and what else the sidecar
+    file says; states: the locked states of the direct solver, which are not written to files, None for a table that was
+    read. branch (n,) str or None: how the locked state was reached, "slack", "restart",
     or "coexisting" where a second state does the same work under S (`rve.equilibrium.branches`); "below" only in
     rows of that status.
     strength (n, 2) or None: the yield stress over S11 + S22, in 1/mm, at which the row's load is that of first
-    yield and of plastic collapse. cell: the rings and their reference cell, None for a table whose file does not tell
-    them; options: of the solver, None where they are not those of this version; joint: of the rings, None without
-    their strength.
+    yield and of plastic collapse.
     """
 
     alpha_deg: Array
@@ -80,13 +104,10 @@ class StrainTable(ByValue):
     status: NDArray[np.str_]
     quality: RowQuality
     compliance: Array | None = None
-    provenance: dict[str, Any] = field(default_factory=dict)
+    origin: Origin = Origin()
     branch: NDArray[np.str_] | None = None
     states: LockedStates | None = field(default=None, repr=False, compare=False)
     strength: Array | None = None
-    cell: CellInfo | None = None
-    options: DirectOptions | None = None
-    joint: str | None = None
 
     def __len__(self) -> int:
         return len(self.alpha_deg)
@@ -106,16 +127,14 @@ class StrainTable(ByValue):
         return FOUR_IN_ONE.is_mirrored if self.cell is None else self.cell.is_mirrored
 
     @property
-    def record(self) -> dict[str, Any]:
-        """What the sidecar file says, but for the checksum."""
-        record: dict[str, Any] = {"format": TABLE_FORMAT, "format_version": 1}
-        if self.cell is not None:
-            metal = self.cell.material
-            record |= asdict(self.cell) | {"density_kg_per_mm3": metal and metal.density_kg_per_mm3}
-            record = {key: value for key, value in record.items() if value is not None and key != "reference"}
-        record |= {} if self.options is None else {"options": asdict(self.options)}
-        record |= {} if self.joint is None else {"compliance": "rings", "joint": self.joint}
-        return record | self.provenance
+    def cell(self) -> CellInfo | None:
+        """The rings and their reference cell, None for a table whose file does not tell them."""
+        return self.origin.cell
+
+    @property
+    def options(self) -> DirectOptions | None:
+        """Of the solver, None where they are not those of this version."""
+        return self.origin.options
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """The columns of the CSV file, by name."""
@@ -127,7 +146,7 @@ class StrainTable(ByValue):
         return {name: known[name] for name in order if known.get(name) is not None}
 
     def to_pandas(self) -> DataFrame:
-        """The table as a pandas DataFrame with the columns of its CSV file; its `attrs` hold its `record`.
+        """The table as a pandas DataFrame with the columns of its CSV file; its `attrs` hold what its JSON says.
 
         InputError if pandas is not installed.
         """
@@ -135,7 +154,7 @@ class StrainTable(ByValue):
         from pandas import DataFrame
 
         frame = DataFrame(self.columns())
-        frame.attrs.update(self.record)
+        frame.attrs.update(self.origin.to_dict())
         return frame
 
     def save(self, path: AnyPath) -> None:
@@ -174,7 +193,7 @@ def write_table(table: StrainTable, path: AnyPath) -> None:
     with atomic_path(sidecar) as record, atomic_path(target) as rows:  # the sidecar takes its place last
         rows.write_text(csv_text([*columns], zip(*(one.tolist() for one in numbers), strict=True)), encoding="utf-8")
         files = {"files": {target.name: checksum(rows)}}
-        record.write_text(json_text(table.record | files), encoding="utf-8")
+        record.write_text(json_text(table.origin.to_dict() | files), encoding="utf-8")
 
 
 def read_table(path: AnyPath) -> StrainTable:
@@ -209,16 +228,16 @@ def read_table(path: AnyPath) -> StrainTable:
         quality=RowQuality(column("R"), column("min_gap_mm"), *whole),
         branch=np.array([text.strip() for text in columns["branch"]]) if "branch" in columns else None,
         **parts,
-        **_read_sidecar(Path(path)),
+        origin=_read_origin(Path(path)),
     )
 
 
-def _read_sidecar(table: Path) -> dict[str, Any]:
-    """The fields cell, options, joint and provenance by what the sidecar file says, {} if there is none; InputError for
-    numbers of the rings out of their range, and for a sidecar that is not of this table."""
+def _read_origin(table: Path) -> Origin:
+    """What the sidecar file says, if there is one; InputError for numbers of the rings out of their range, and for a
+    sidecar that is not of this table."""
     path = sidecar_path(table)
     if not path.exists():
-        return {}
+        return Origin()
     record = read_json_object(path)
     options = _options_of_record(record)
     of_options = record["options"] if isinstance(record.get("options"), dict) else {}
@@ -233,10 +252,10 @@ def _read_sidecar(table: Path) -> dict[str, Any]:
     typed = {"format", "format_version", "files"} | ({"compliance", "joint"} if joint else set())
     typed |= ({"options"} if options else set()) | ({*types_of(CellInfo), "density_kg_per_mm3"} if cell else set())
     rest = {key: value for key, value in record.items() if key not in typed}
-    return {"cell": cell, "options": options, "joint": joint, "provenance": rest}
+    return Origin(cell, options, joint, rest)
 
 
-def _options_of_record(record: dict[str, Any]) -> DirectOptions | None:
+def _options_of_record(record: Mapping[str, Any]) -> DirectOptions | None:
     """The options of a sidecar; None where they are not those of this version."""
     with suppress(InputError):
         return read_typed(DirectOptions, record.get("options"), "options")

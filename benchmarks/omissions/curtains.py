@@ -15,11 +15,10 @@ from homogenize import MembraneLaw, default_law
 from homogenize.laws import HalfSpaces, PolyhedralLaw
 from macro_fem import read_scene
 from macro_fem.curtain import CurtainProblem, gathered_start, make_problem, solve_problem, stabilising_tension
-from macro_fem.fem.assembly import load_vector
+from macro_fem.fem import load_vector
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.solvers.central_path import solve_path
-from macro_fem.solvers.cones import first_cones
-from macro_fem.solvers.path import PATH, PathOptions, PathResult
+from macro_fem.solvers import PathOptions, PathResult, first_cones, solve_path
+from macro_fem.solvers.path import PATH
 
 TOLERANCE = 1e-9
 """Of the solver: potentials relative to load times size, and the mean height relative to the size."""

@@ -11,8 +11,8 @@ from benchmarks.omissions.compare import LEFT_OUT, trial, trial_table, verdict
 from benchmarks.omissions.motion import TOLERANCE
 from benchmarks.problems import Array, loads
 from rve import Cell, DirectOptions
-from rve.equilibrium.interior_point import Equilibrium, solve_equilibrium
-from rve.equilibrium.system import REACH, Equations
+from rve.equilibrium import Equations, Equilibrium, solve_equilibrium
+from rve.equilibrium.system import REACH
 from rve.geometry import SIX_IN_ONE, cauchy_line_load, contacts, pair_geometry
 
 CELLS = {

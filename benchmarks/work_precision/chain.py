@@ -19,8 +19,7 @@ from benchmarks.problems import loads
 from benchmarks.work_precision.curtain import corner_height, reference_height
 from examples.curtain import SETTINGS, Setting, extrapolated
 from homogenize import FitOptions, MembraneLaw, fit
-from rve import Cell, DirectOptions, StrainTable, solve_table
-from rve.common import InputError
+from rve import Cell, DirectOptions, InputError, StrainTable, solve_table
 
 HEIGHT = 1000.0
 BASE_SPACING, FINE_SPACING = 5.0, 2.5

@@ -18,7 +18,8 @@ from benchmarks.measure import Row, least_seconds
 from benchmarks.problems import square
 from homogenize import MembraneLaw, default_law, diagonal_net
 from macro_fem import Scene, read_scene
-from macro_fem.bounds.interval import CurtainBounds, admissible_problem, levels
+from macro_fem.bounds import CurtainBounds
+from macro_fem.bounds.interval import admissible_problem, levels
 from macro_fem.curtain import solve_problem
 from macro_fem.job import solve_membrane
 from macro_fem.scene.meshing.mesh import build_mesh

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import NonlinearConstraint, minimize
 
-from rve.equilibrium.system import Equations
+from rve.equilibrium import Equations
 from rve.geometry import Pose, distance_gradient, local_minima, pair_geometry, start_pose, tangent_frame
 
 Array = NDArray[np.float64]

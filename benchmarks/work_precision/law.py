@@ -15,7 +15,7 @@ from homogenize.fitting import bounds_of, refine, rows_from_table
 from homogenize.laws import LockedRows
 from homogenize.laws.geometry import ProjectionError
 from rve import Cell, StrainTable, graded_grid, solve_table
-from rve.common.tensor import double_dot, trace
+from rve.common import double_dot, trace
 
 SEED = 2027
 """Of the held-out directions; the constants of the refined law were chosen on other ones."""

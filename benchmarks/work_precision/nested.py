@@ -19,16 +19,15 @@ from benchmarks.problems import loads, square
 from homogenize import FitOptions, MembraneLaw, fit
 from homogenize.fitting import law_interval
 from homogenize.laws import LockedRows
-from macro_fem import Scene, read_scene
+from macro_fem import CurtainSolution, Scene, read_scene
 from macro_fem.bounds.interval import admissible_problem
-from macro_fem.curtain import CurtainSolution, solve_problem
+from macro_fem.curtain import solve_problem
 from macro_fem.demand.directions import first_directions, rounded
 from macro_fem.demand.loop import solve_on_demand
 from macro_fem.demand.rings import Rings
 from macro_fem.scene.meshing.mesh import build_mesh
 from rve import Cell, graded_grid, solve_table, support
-from rve.common import Array
-from rve.common.tensor import disc, from_disc, trace
+from rve.common import Array, disc, from_disc, trace
 from rve.geometry import CellInfo
 
 HEIGHT = 1000.0

@@ -117,7 +117,7 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
         "rows": len(rows),
         "stiffness": origin,
         "stiffness_by_direction": stiffness_by_direction(law),
-        "table_provenance": table.record,
+        "table_provenance": table.origin.to_dict(),
         "python": platform.python_version(),
         "numpy": np.__version__,
     }
@@ -156,4 +156,4 @@ def stiffness_by_direction(law: MembraneLaw) -> str | None:
 @checked
 def cell_of(table: StrainTable) -> CellInfo:
     """The rings of a table and their reference cell; InputError names what its sidecar does not tell of them."""
-    return read_cell_info(table.provenance, "the sidecar file of the table:") if table.cell is None else table.cell
+    return read_cell_info(table.origin.notes, "the sidecar file of the table:") if table.cell is None else table.cell

@@ -6,6 +6,7 @@ fields of thin fabrics and films obey it, and its curtains have closed forms.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,7 +58,7 @@ class ClothLaw(StoredLaw, kind="cloth"):
         return {}
 
     @classmethod
-    def from_dict(cls, data: dict[str, Any], where: str) -> ClothLaw:
+    def from_dict(cls, data: Mapping[str, Any], where: str) -> ClothLaw:
         for key in data:
             raise InputError(f"{where} {key}: unknown key; cloth has no parameters")
         return cls()

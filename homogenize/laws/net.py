@@ -8,6 +8,7 @@ C = I + 2E a strain is admissible if n.C n <= l^2 for both, l the stretch at whi
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Annotated, Any
 
@@ -130,7 +131,7 @@ class NetLaw(StoredLaw, kind="net"):
         return {"directions": self.directions.tolist(), "limit": self.limit, "stiffness_N_per_mm": self.stiffness}
 
     @classmethod
-    def from_dict(cls, data: dict[str, Any], where: str) -> NetLaw:
+    def from_dict(cls, data: Mapping[str, Any], where: str) -> NetLaw:
         entries = read_typed(NetEntries, data, where)
         return NetLaw(np.array(entries.directions), entries.limit, entries.stiffness_N_per_mm)
 

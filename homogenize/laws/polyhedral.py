@@ -6,6 +6,7 @@ cone, all that the rows reach; its half-spaces are the hull's tensile facets and
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Annotated, Any
@@ -89,7 +90,7 @@ class PolyhedralLaw(StoredLaw, kind="polyhedral"):
         return {"S": self.S.tolist(), "h": self.h.tolist(), "stiffness_N_per_mm": self.stiffness.tolist()}
 
     @classmethod
-    def from_dict(cls, data: dict[str, Any], where: str) -> PolyhedralLaw:
+    def from_dict(cls, data: Mapping[str, Any], where: str) -> PolyhedralLaw:
         entries = read_typed(PolyhedronEntries, data, where)
         try:
             return polyhedral_law(

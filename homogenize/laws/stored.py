@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -48,7 +49,7 @@ class StoredLaw(MembraneLaw):
         raise NotImplementedError
 
     @classmethod
-    def from_dict(cls, data: dict[str, Any], where: str) -> Self:
+    def from_dict(cls, data: Mapping[str, Any], where: str) -> Self:
         """The law whose `to_dict` wrote `data`; InputError, which begins with `where`, for what is none."""
         raise NotImplementedError
 

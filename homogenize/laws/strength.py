@@ -186,7 +186,7 @@ def strength_of_table(table: StrainTable) -> Strength | None:
     along = np.einsum("ni,nij,nj->n", S * WEIGHT, table.compliance[good], S)
     s = cauchy_line_load(table.alpha_deg[good], table.beta_deg[good])
     s = s / trace(s)[:, None]
-    (first, last), joint = table.strength[good].T, table.joint or "welded"
+    (first, last), joint = table.strength[good].T, table.origin.joint or "welded"
     found = Strength(S, s, first, last, along, table.cell.material, joint=joint, is_mirrored=table.is_mirrored)
     return replace(found, error=off_grid(found))
 

@@ -1,1 +1,6 @@
 """Solvers of the discrete curtain: cones, interior points, cutting planes, statuses."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""The names for other packages, listed in `__init__.pyi`: their modules are imported when they are first used."""

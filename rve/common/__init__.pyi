@@ -20,6 +20,8 @@ from .files import json_text as json_text
 from .files import sidecar_path as sidecar_path
 from .files import versions as versions
 from .files import write_text as write_text
+from .materials import STEEL as STEEL
+from .materials import material_of as material_of
 from .progress import heard_by as heard_by
 from .progress import part_of as part_of
 from .progress import tell as tell
@@ -28,6 +30,15 @@ from .records import ByValue as ByValue
 from .records import Flags as Flags
 from .records import Index as Index
 from .records import Rows as Rows
+from .tensor import IDENTITY as IDENTITY
+from .tensor import WEIGHT as WEIGHT
+from .tensor import disc as disc
+from .tensor import double_dot as double_dot
+from .tensor import dyad as dyad
+from .tensor import eigenvalues as eigenvalues
+from .tensor import from_disc as from_disc
+from .tensor import mirror as mirror
+from .tensor import trace as trace
 from .texts import csv_text as csv_text
 from .texts import digits as digits
 from .texts import number_column as number_column

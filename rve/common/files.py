@@ -209,7 +209,7 @@ def _listed(folder: Path, record: str) -> dict[str, str]:
         return {}
 
 
-def check_belongs(path: AnyPath, record: AnyPath, known: dict[str, Any], remedy: str) -> None:
+def check_belongs(path: AnyPath, record: AnyPath, known: Mapping[str, Any], remedy: str) -> None:
     """InputError unless the record `known`, read from the file `record`, lists a file with the content of `path`, which
     may have been renamed."""
     sums = known.get("files")

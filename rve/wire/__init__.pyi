@@ -14,6 +14,7 @@ from .section import shear_factor as shear_factor
 from .section import skin_stress as skin_stress
 from .strength import PulledRing as PulledRing
 from .strength import StrengthOptions as StrengthOptions
+from .strength import largest_factors as largest_factors
 from .strength import peak_stress as peak_stress
 from .strength import plastic_collapse as plastic_collapse
 from .strength import pulled_ring as pulled_ring

@@ -90,7 +90,7 @@ def with_rings(table: StrainTable, cell: Cell, joint: str = "welded") -> StrainT
         np.add.at(parts, rows, share[:, None, None, None] * (other - first[rows]))
     bend, elastic = np.moveaxis(parts[..., weave_axes(cell), weave_axes(cell)], 1, 0)
     D = bend / trace(table.S)[:, None, None] + elastic
-    return replace(table, compliance=D, strength=strength, cell=info, joint=closure.name)
+    return replace(table, compliance=D, strength=strength, origin=replace(table.origin, cell=info, joint=closure.name))
 
 
 @dataclass(frozen=True)

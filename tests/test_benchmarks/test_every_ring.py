@@ -16,7 +16,7 @@ from macro_fem import Motion
 from macro_fem.motion.rings import MovingRings
 from macro_fem.rings.ring_scene import ring_scene
 from rve import Cell, FiniteMesh, pulled_ring
-from rve.common.materials import STEEL
+from rve.common import STEEL
 from rve.wire import Ring
 
 

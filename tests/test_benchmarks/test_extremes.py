@@ -5,7 +5,8 @@ import pytest
 
 from benchmarks import extremes as ex
 from homogenize import default_law
-from rve.common import SENTENCES, InputError
+from rve import InputError
+from rve.common import SENTENCES
 from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE
 
 LAW = default_law()

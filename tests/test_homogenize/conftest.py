@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from homogenize.laws import LockedRows, ring_cell
-from rve.common.tensor import WEIGHT, double_dot, from_disc, trace
+from rve.common import WEIGHT, double_dot, from_disc, trace
 
 
 class Ellipsoid:
@@ -38,7 +38,7 @@ def rows_of(truth, S):
 def table_of(S, E, *, status=None, unique=None):
     """A table in memory with the given loads and strains; angles are those of the load on the undeformed cell."""
     from rve import StrainTable
-    from rve.table import RowQuality
+    from rve.table import Origin, RowQuality
 
     n = len(S)
     alpha = np.degrees(0.5 * np.arctan2(2.0 * S[:, 1], S[:, 0] - S[:, 2]))
@@ -48,7 +48,7 @@ def table_of(S, E, *, status=None, unique=None):
     status = np.full(n, "converged") if status is None else status
     sides, quality = np.zeros((n, 2)), RowQuality(np.zeros(n), np.zeros(n), np.zeros(n, int), np.zeros(n, int))
     cell = ring_cell(5.0, 0.5, 11.0, 12.646069623526)
-    return StrainTable(alpha, beta, E, S, sides, sides, unique, status, quality, cell=cell)
+    return StrainTable(alpha, beta, E, S, sides, sides, unique, status, quality, origin=Origin(cell))
 
 
 def derivative_errors(law, E, step=1e-6):

@@ -11,7 +11,7 @@ from homogenize import default_law, load_law
 from homogenize.cli import main
 from homogenize.io import DEFAULT_LAW
 from homogenize.query import support_answer
-from rve.common import InputError
+from rve import InputError
 
 TABLE = Path(__file__).parent / "data" / "table190.csv"
 

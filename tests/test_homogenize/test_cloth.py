@@ -7,8 +7,8 @@ import pytest
 
 from homogenize import ClothLaw, load_law
 from macro_fem import read_scene, solve
-from rve.common import InputError
-from rve.common.tensor import double_dot, trace
+from rve import InputError
+from rve.common import double_dot, trace
 
 LAW = ClothLaw()
 

@@ -8,7 +8,7 @@ import pytest
 from homogenize import default_law, elastic_law
 from homogenize.fitting.table import stiffness_by_direction
 from homogenize.laws import constant_compliance, giving_law, work_along
-from rve.common.tensor import WEIGHT, double_dot, eigenvalues, trace
+from rve.common import WEIGHT, double_dot, eigenvalues, trace
 
 LAW = default_law()
 GIVING = giving_law(LAW)

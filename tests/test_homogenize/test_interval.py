@@ -10,8 +10,8 @@ import pytest
 from homogenize import diagonal_net, read_law_interval
 from homogenize.fitting import interval_or_law, law_interval, random_loads
 from homogenize.io import DEFAULT_LAW
-from rve.common import InputError
-from rve.common.tensor import double_dot
+from rve import InputError
+from rve.common import double_dot
 
 
 def test_the_law_of_a_file_lies_between_its_inner_and_outer_law():

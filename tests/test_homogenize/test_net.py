@@ -6,7 +6,7 @@ import pytest
 from homogenize import diagonal_net, ring_net
 from homogenize.fitting import random_loads
 from homogenize.laws import ring_cell
-from rve.common.tensor import WEIGHT, double_dot, eigenvalues, trace
+from rve.common import WEIGHT, double_dot, eigenvalues, trace
 
 LAWS = {"ring": ring_net(ring_cell(5.0, 0.5, 11.0, 12.646069623526)), "abstract": diagonal_net(1.0)}
 

@@ -8,8 +8,8 @@ from scipy.optimize import nnls
 
 from homogenize.fitting import bounds_of, inner_law, outer_law, random_loads, refined_half_spaces
 from homogenize.laws import polyhedral_law
-from rve.common import InputError
-from rve.common.tensor import WEIGHT, double_dot, eigenvalues, from_disc, trace
+from rve import InputError
+from rve.common import WEIGHT, double_dot, eigenvalues, from_disc, trace
 
 from .conftest import derivative_errors, disc_grid, rows_of
 

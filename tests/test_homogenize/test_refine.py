@@ -10,7 +10,7 @@ from homogenize.fitting import bounds_of, random_loads, refined_half_spaces, row
 from homogenize.fitting.refine import FINEST, Nodes, on_arcs
 from homogenize.laws import polyhedral_law
 from rve import Cell, graded_grid, read_table, solve_table
-from rve.common.tensor import disc, double_dot, from_disc
+from rve.common import disc, double_dot, from_disc
 
 from .conftest import disc_grid, rows_of
 

@@ -10,7 +10,7 @@ from homogenize.directions import beyond, limits_of
 from homogenize.fitting import error_report, normality, outer_law
 from homogenize.fitting.report import held_out_misfit
 from homogenize.query import extrapolates
-from rve.common.tensor import from_disc, trace
+from rve.common import from_disc, trace
 from rve.geometry import deformation_gradient, second_pk
 
 from .conftest import disc_grid, rows_of, table_of

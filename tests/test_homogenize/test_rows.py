@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from homogenize.fitting import inner_law, normality, outer_law, random_loads, rows_from_table
 from homogenize.laws import LockedRows, with_mirror
-from rve.common import InputError
-from rve.common.tensor import double_dot, mirror
+from rve import InputError
+from rve.common import double_dot, mirror
 
 from .conftest import Ellipsoid, disc_grid, rows_of, table_of
 

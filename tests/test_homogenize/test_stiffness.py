@@ -7,8 +7,8 @@ import pytest
 
 from homogenize import fit
 from homogenize.laws import constant_compliance, work_along
-from rve.common import InputError
-from rve.common.tensor import WEIGHT
+from rve import InputError
+from rve.common import WEIGHT
 
 from .conftest import disc_grid, table_of
 

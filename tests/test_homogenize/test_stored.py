@@ -10,8 +10,7 @@ from homogenize import ClothLaw, FitOptions, default_law, fit_table, load_law, r
 from homogenize.io import DEFAULT_LAW
 from homogenize.laws import law_record, ring_cell
 from homogenize.query import strain_answer
-from rve import MATERIALS, DirectOptions, read_table
-from rve.common import InputError
+from rve import MATERIALS, DirectOptions, InputError, read_table
 
 TABLE = Path(__file__).parent / "data" / "table190.csv"
 OLD = TABLE.parent / "version_0_2"
@@ -45,7 +44,7 @@ def test_files_of_version_0_2_are_read(tmp_path):
     """They tell the weave in the sidecar alone, and in words whether the stiffness is that of the rings."""
     table, law = read_table(OLD / "table.csv"), load_law(OLD / "law.json")
     assert (table.cell.weave, table.cell.grain, table.cell.reference) == ("4-in-1", "x", "locked")
-    assert (table.cell.material, table.joint) == (MATERIALS["titanium grade 2"], "welded")
+    assert (table.cell.material, table.origin.joint) == (MATERIALS["titanium grade 2"], "welded")
     assert table.options == DirectOptions(reference="locked")
     assert (law.cell, law.stiffness_is_measured, law.report.kind) == (table.cell, True, "outer")
     new = fit_table(OLD / "table.csv", FitOptions("outer")).law
@@ -55,6 +54,10 @@ def test_files_of_version_0_2_are_read(tmp_path):
     law.save(tmp_path / "law.json")
     again = load_law(tmp_path / "law.json")
     assert law_record(again) == law_record(law)
+    record = json.loads(json.dumps(law_record(with_material(law, {"material": "copper"}))))
+    del record["cell"]["material"]  # the sidecar of the table still says titanium
+    (tmp_path / "law.json").write_text(json.dumps(record))
+    assert load_law(tmp_path / "law.json").cell.material == MATERIALS["copper"]
 
 
 @pytest.mark.parametrize(("sides", "told"), [((12.646069623526, 11.0), ("4-in-1", "x")), ((11.0, 14.0), (None, "y"))])

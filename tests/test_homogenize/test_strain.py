@@ -10,9 +10,8 @@ from homogenize.fitting import outer_law, random_loads, refined_half_spaces, row
 from homogenize.laws import LockedRows, polyhedral_law, read_rows, ring_cell
 from homogenize.query import strain_bounds
 from homogenize.query.strain import StrainOptions
-from rve import Cell, DirectOptions, read_table, solve_table
-from rve.common import InputError
-from rve.common.tensor import double_dot, dyad, from_disc, trace
+from rve import Cell, DirectOptions, InputError, read_table, solve_table
+from rve.common import double_dot, dyad, from_disc, trace
 from rve.directions import product
 from rve.geometry import cauchy_line_load, deformation_gradient, second_pk
 

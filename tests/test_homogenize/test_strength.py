@@ -13,9 +13,8 @@ from homogenize.directions import Directions, tensile_part
 from homogenize.fitting import interval_of_table
 from homogenize.laws import Strength, read_strength, strength_of_table, work_along
 from homogenize.laws.strength import off_grid
-from rve import Material
-from rve.common import InputError
-from rve.common.tensor import WEIGHT, double_dot, mirror, trace
+from rve import InputError, Material
+from rve.common import WEIGHT, double_dot, mirror, trace
 
 from .conftest import Ellipsoid, disc_grid, table_of
 
@@ -37,7 +36,7 @@ def table():
     found = table_of(2.0 * both, Ellipsoid().strain(both))
     cell = replace(found.cell, material=STEEL)
     compliance = np.tile(D / WEIGHT[:, None], (len(both), 1, 1))
-    return replace(found, compliance=compliance, strength=asked(both), cell=cell)
+    return replace(found, compliance=compliance, strength=asked(both), origin=replace(found.origin, cell=cell))
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +102,9 @@ def test_between_rows_it_is_symmetric_homogeneous_and_as_wrong_as_reported(stren
 def test_a_chiral_weave_has_its_own_strength_on_either_side(table):
     """Rows at S and at its mirror image differ: neither stands for the other."""
     cell = replace(table.cell, weave="6-in-1")
-    chiral = replace(table, strength=table.strength * (1.0 + 0.25 * table.S[:, 1:2]), cell=cell)
+    chiral = replace(
+        table, strength=table.strength * (1.0 + 0.25 * table.S[:, 1:2]), origin=replace(table.origin, cell=cell)
+    )
     found = strength_of_table(chiral)
     assert found.utilisation(S) == pytest.approx(chiral.strength[-len(S) :, 0] / 400.0, rel=1e-9)
     assert found.error.first_yield_max < 0.1
@@ -161,7 +162,7 @@ def test_a_law_file_keeps_it(table, law, strength, tmp_path):
     assert again.utilisation(S) == pytest.approx(strength.utilisation(S), rel=1e-14)
     assert again.error == strength.error
     assert again.material == Material(yield_N_per_mm2=400.0, ultimate_N_per_mm2=500.0)
-    butted = replace(table, joint="butted:30")
+    butted = replace(table, origin=replace(table.origin, joint="butted:30"))
     assert read_strength(strength_of_table(butted).to_dict(), "law.json").joint == "butted:30"
     assert "butted:30 rings of steel" in strength_of_table(butted).text()
     fit(table, FitOptions(kind="net")).save(tmp_path / "net.json")  # its strength is that of the table as well

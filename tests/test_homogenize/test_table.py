@@ -13,9 +13,9 @@ from benchmarks.shipped_law import shipped_record
 from homogenize import FitOptions, default_law, fit, locked_strain
 from homogenize.fitting import bounds_of, random_loads, rows_from_table
 from homogenize.io import DEFAULT_LAW
-from rve import read_table
-from rve.common import InputError
-from rve.common.tensor import double_dot, eigenvalues, trace
+from rve import InputError, read_table
+from rve.common import double_dot, eigenvalues, trace
+from rve.table import Origin
 
 DATA = Path(__file__).parent / "data"
 
@@ -118,7 +118,7 @@ def test_every_kind_is_fitted_and_reports(table):
     assert max(worst["refined"], worst["outer"]) < 1e-10
     assert worst["net"] > 0.01
     with pytest.raises(InputError, match="law of 4-in-1"):
-        fit(replace(table, cell=replace(table.cell, weave="6-in-1")), FitOptions("net"))
+        fit(replace(table, origin=Origin(replace(table.cell, weave="6-in-1"))), FitOptions("net"))
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from homogenize.export import umat_source
 from homogenize.export.umat import data_statements
 from homogenize.fitting import outer_law, refined_half_spaces
 from homogenize.laws import polyhedral_law
-from rve.common import InputError
+from rve import InputError
 
 from .conftest import disc_grid, rows_of
 

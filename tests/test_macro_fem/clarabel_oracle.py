@@ -15,14 +15,25 @@ import numpy as np
 from scipy import sparse
 
 from homogenize import MembraneLaw
-from macro_fem.curtain import CurtainProblem, CurtainSolution, make_solution, stabilising_tension
-from macro_fem.fem.assembly import internal_force
-from macro_fem.fem.supported import SupportedFem
+from macro_fem import CurtainSolution
+from macro_fem.curtain import CurtainProblem, make_solution, stabilising_tension
+from macro_fem.fem import SupportedFem, internal_force
+from macro_fem.solvers import (
+    Cones,
+    Evidence,
+    PathResult,
+    Reach,
+    WallRows,
+    Walls,
+    all_cuts,
+    first_cones,
+    green_strain,
+    least_slack,
+    load_scale,
+    with_cuts,
+)
 from macro_fem.solvers.cone_program import REACH
-from macro_fem.solvers.cones import Cones, all_cuts, first_cones, green_strain, least_slack, with_cuts
-from macro_fem.solvers.path import PathResult
-from macro_fem.solvers.status import FREE, Evidence, Reach, load_scale
-from macro_fem.solvers.walls import WallRows, Walls
+from macro_fem.solvers.status import FREE
 from rve.common import Array, tell
 
 FLAT = 1e-12

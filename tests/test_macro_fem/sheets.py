@@ -6,7 +6,7 @@ import skfem
 from homogenize import default_law, with_material
 from macro_fem import read_scene
 from macro_fem.curtain import make_problem, solve_problem
-from macro_fem.fem.supported import SupportedFem
+from macro_fem.fem import SupportedFem
 from macro_fem.scene.loads import drag_coefficient, ring_solidity
 from macro_fem.scene.meshing.mesh import build_mesh
 

@@ -5,8 +5,8 @@ import pytest
 import skfem
 from skfem.helpers import dot, grad
 
-from macro_fem.fem.assembly import SparsityPattern, gradient, internal_force, load_vector, stiffness
-from macro_fem.fem.discretization import ELEMENTS, discretize
+from macro_fem.fem import SparsityPattern, discretize, gradient, internal_force, load_vector, stiffness
+from macro_fem.fem.discretization import ELEMENTS
 
 
 def distorted(n=4, amount=0.03, seed=0):

@@ -7,9 +7,10 @@ import pytest
 
 from homogenize import diagonal_net
 from macro_fem import read_scene
+from macro_fem.bounds import bound
 from macro_fem.bounds.equilibrated import dual_disc
-from macro_fem.bounds.interval import bound, mark
-from macro_fem.fem.assembly import gradient, internal_force
+from macro_fem.bounds.interval import mark
+from macro_fem.fem import gradient, internal_force
 from macro_fem.job import solve_membrane
 from macro_fem.output.files import interval_summary
 from macro_fem.output.told import interval_line

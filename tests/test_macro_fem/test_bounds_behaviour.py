@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from macro_fem import read_scene
+from macro_fem.bounds import bound
 from macro_fem.bounds import interval as bounds
 from macro_fem.bounds.equilibrated import at_dual_nodes, dual_problem
-from macro_fem.bounds.interval import bound
 from macro_fem.curtain import gathered_start, solve_problem
-from macro_fem.solvers.central_path import solve_path
-from macro_fem.solvers.cones import all_cuts, green_strain
-from macro_fem.solvers.path import PathOptions
+from macro_fem.solvers import PathOptions, all_cuts, green_strain, solve_path
 from tests.test_macro_fem.sheets import posed, solve_scene
 
 

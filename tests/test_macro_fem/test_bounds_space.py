@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 
 import macro_fem
 from macro_fem import read_scene
-from macro_fem.bounds.interval import bound
+from macro_fem.bounds import bound
 from macro_fem.job import solve_membrane
-from macro_fem.solvers.path import PathOptions
+from macro_fem.solvers import PathOptions
 from rve import Cell
 from tests.test_macro_fem.sheets import solve_scene
 from tests.test_macro_fem.test_space_hammock import Catenary

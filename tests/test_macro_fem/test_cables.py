@@ -5,11 +5,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from macro_fem import read_scene
-from macro_fem.fem.discretization import discretize
+from macro_fem.fem import discretize
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.supports import build_supports
-from rve.common import InputError
+from rve import InputError
 from tests.test_macro_fem.sheets import solve_scene
 
 TURN = Rotation.from_euler("zxy", [-50.0, 25.0, 70.0], degrees=True).as_matrix()

@@ -12,9 +12,9 @@ import skfem
 from homogenize import default_law
 from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
-from macro_fem.fem.cells import counterclockwise
+from macro_fem.fem import counterclockwise
 from macro_fem.output.files import summarize
-from rve.common import InputError
+from rve import InputError
 from tests.test_macro_fem.sheets import posed
 
 LEFT, RIGHT = [[0.0, 0.0, 5.0], [10.0, 79.0, 0.0]], [[100.0, 0.0, -5.0], [90.0, 79.0, 0.0]]

@@ -15,7 +15,8 @@ from homogenize import default_law, read_law_interval
 from homogenize.fitting import law_interval
 from homogenize.laws import with_mirror
 from macro_fem import OnDemand, read_scene, solve
-from macro_fem.bounds.interval import admissible_problem, bound, loads_of
+from macro_fem.bounds import bound
+from macro_fem.bounds.interval import admissible_problem, loads_of
 from macro_fem.curtain import make_problem, solve_problem
 from macro_fem.demand import rings as rings_module
 from macro_fem.demand.directions import first_directions, widest
@@ -23,10 +24,9 @@ from macro_fem.demand.loop import solve_on_demand, strength_of_rows, with_streng
 from macro_fem.demand.rings import Rings, contradictions, question
 from macro_fem.output.strength import MEANING, summary
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.solvers.cones import least_slack
-from rve import WEAVES, Cell
-from rve.common import NO_CACHE, Cache, InputError, NotConverged
-from rve.common.tensor import WEIGHT, disc, from_disc
+from macro_fem.solvers import least_slack
+from rve import WEAVES, Cell, InputError, NotConverged
+from rve.common import NO_CACHE, WEIGHT, Cache, disc, from_disc
 
 KNOWN = read_law_interval()
 STATES = with_mirror(KNOWN.rows).E

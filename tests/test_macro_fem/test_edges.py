@@ -13,7 +13,7 @@ from macro_fem.curtain import make_problem
 from macro_fem.output.files import summarize
 from macro_fem.scene.meshing.edges import border_of
 from macro_fem.scene.meshing.mesh import build_mesh, mesh_outline, refine
-from rve.common import InputError
+from rve import InputError
 from tests.test_macro_fem.sheets import solve_scene
 
 RISE = np.linspace(100.0, 0.0, 24)  # an even number: the arch has a flat facet at its apex

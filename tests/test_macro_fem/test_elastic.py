@@ -8,9 +8,8 @@ import pytest
 from homogenize import default_law, diagonal_net
 from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
-from macro_fem.fem.discretization import discretize
-from macro_fem.solvers.central_path import solve_path
-from macro_fem.solvers.path import PathOptions, Terms
+from macro_fem.fem import discretize
+from macro_fem.solvers import PathOptions, Terms, solve_path
 from tests.test_macro_fem.sheets import mesh_of, posed, solve_scene, supported
 
 ELASTIC = {"kind": "elastic"}

@@ -6,7 +6,7 @@ import pytest
 from homogenize import default_law, diagonal_net
 from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
-from macro_fem.fem.cells import recovered
+from macro_fem.fem import recovered
 from macro_fem.output.line_load import Nearby, largest, largest_mean, summary
 from tests.test_macro_fem.sheets import mesh_of, posed, sheet, solve_scene
 

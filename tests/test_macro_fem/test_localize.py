@@ -15,8 +15,8 @@ from macro_fem.cli import main
 from macro_fem.output.files import rings
 from macro_fem.rings.curtain import Told, curtain_of
 from macro_fem.rings.localize import find_sites, place_rings, turns
-from rve import Cell, DirectOptions
-from rve.common import InputError, checksum
+from rve import Cell, DirectOptions, InputError
+from rve.common import checksum
 from rve.geometry import SIX_IN_ONE, cauchy_line_load, deformation_gradient, find_contacts, lattice_strain, second_pk
 from rve.placed import (
     DrawnRings,

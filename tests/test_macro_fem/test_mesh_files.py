@@ -13,8 +13,8 @@ from click.testing import CliRunner
 from homogenize import diagonal_net
 from macro_fem import read_scene
 from macro_fem.cli import main
-from macro_fem.fem.cells import signed_areas
-from rve.common import InputError
+from macro_fem.fem import signed_areas
+from rve import InputError
 from tests.squares import MSH, mesh_of, msh22, write_square
 from tests.test_macro_fem.sheets import solve_scene
 

@@ -8,13 +8,22 @@ import pytest
 from homogenize import default_law
 from homogenize.laws import Cut
 from macro_fem.curtain import gathered_start
-from macro_fem.solvers.central_path import solve_path
-from macro_fem.solvers.cone_program import Program, compliance_root, find_first_state, measure
+from macro_fem.solvers import (
+    Cones,
+    PathOptions,
+    Program,
+    WallRows,
+    Walls,
+    all_cuts,
+    compliance_root,
+    first_cones,
+    green_strain,
+    solve_path,
+    with_cuts,
+)
+from macro_fem.solvers.cone_program import find_first_state, measure
 from macro_fem.solvers.cone_step import find_nearest, find_step
-from macro_fem.solvers.cones import Cones, all_cuts, first_cones, green_strain, with_cuts
-from macro_fem.solvers.path import PathOptions
-from macro_fem.solvers.walls import WallRows, Walls
-from rve.common.tensor import double_dot, trace
+from rve.common import double_dot, trace
 from tests.test_macro_fem.sheets import posed
 
 

@@ -9,7 +9,7 @@ from scipy.special import jn_zeros
 from homogenize import default_law
 from macro_fem import read_scene
 from macro_fem.motion.modes import find_modes
-from rve.common import InputError
+from rve import InputError
 from tests.test_macro_fem.sheets import solve_scene
 
 G, LENGTH = 9810.0, 1000.0

@@ -28,7 +28,7 @@ from macro_fem.motion.step import Moment, kinetic_energy
 from macro_fem.output.forces import winds
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.loads import wind_pressure
-from rve.common import InputError
+from rve import InputError
 from tests.commands import run
 from tests.test_macro_fem.sheets import fallen, solve_scene, still_air
 

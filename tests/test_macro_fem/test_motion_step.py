@@ -10,12 +10,10 @@ from scipy import sparse
 
 from macro_fem import read_scene
 from macro_fem.curtain import CurtainProblem
-from macro_fem.fem.assembly import load_vector
-from macro_fem.fem.supported import SupportedFem, with_loose_nodes
+from macro_fem.fem import SupportedFem, load_vector
+from macro_fem.fem.supported import with_loose_nodes
 from macro_fem.motion.step import Account, Moment, TimeStep, end_of, kinetic_energy, solve_step
-from macro_fem.solvers.cones import green_strain
-from macro_fem.solvers.path import Inertia
-from macro_fem.solvers.walls import WallRows, Walls
+from macro_fem.solvers import Inertia, WallRows, Walls, green_strain
 from tests.test_macro_fem.sheets import posed, sheet
 
 BALL = 0.5e-3

@@ -19,8 +19,7 @@ from macro_fem.output.told import governing_line, lean_note
 from macro_fem.report import _sections, write_report
 from macro_fem.size import Range, find_size, search
 from macro_fem.trials import Sought, answer_of
-from rve import Cell, grid, solve_table, with_rings
-from rve.common import InputError
+from rve import Cell, InputError, grid, solve_table, with_rings
 from tests.commands import run
 
 HOOKS = """

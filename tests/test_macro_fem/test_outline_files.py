@@ -17,7 +17,7 @@ from macro_fem import read_scene
 from macro_fem.cli import main
 from macro_fem.scene.meshing.mesh import mesh_outline
 from macro_fem.scene.meshing.outline_files import read_outline, write_outline
-from rve.common import InputError
+from rve import InputError
 from tests.test_macro_fem.test_outlines_behaviour import star
 
 BOX = [(0, 0), (600, 0), (600, 400), (0, 400)]

@@ -5,7 +5,7 @@ import pytest
 import shapely
 from scipy.spatial import cKDTree
 
-from macro_fem.fem.cells import signed_areas
+from macro_fem.fem import signed_areas
 from macro_fem.scene.meshing.mesh import mesh_outline
 
 

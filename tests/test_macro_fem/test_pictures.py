@@ -11,7 +11,7 @@ from macro_fem.output.forces import pulls, winds
 from macro_fem.output.images import compose, in_turn, parts
 from macro_fem.output.pictures import STATES, panels
 from macro_fem.output.space_view import views
-from rve.common import InputError
+from rve import InputError
 from rve.common.drawing.space import new_plotter
 from tests.commands import run
 from tests.films import film_of

@@ -13,8 +13,8 @@ from homogenize import default_law
 from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
 from macro_fem.output.forces import support_forces
-from rve.common import InputError
-from rve.common.tensor import WEIGHT
+from rve import InputError
+from rve.common import WEIGHT
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
 from tests.test_macro_fem.sheets import posed
 

@@ -7,7 +7,7 @@ import pytest
 from homogenize import default_law
 from macro_fem import read_scene, solve
 from macro_fem.motion.curtain import MovingCurtain
-from rve.common import InputError
+from rve import InputError
 
 BASE = """
 curtain = {width = 100.0, height = 100.0}

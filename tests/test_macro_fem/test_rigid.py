@@ -8,8 +8,7 @@ import pytest
 from homogenize import diagonal_net, ring_net
 from macro_fem import read_scene
 from macro_fem.curtain import gathered_start
-from macro_fem.solvers.central_path import solve_path
-from macro_fem.solvers.cones import all_cuts, green_strain
+from macro_fem.solvers import all_cuts, green_strain, solve_path
 from rve.geometry import CellInfo
 from tests.test_macro_fem.clarabel_oracle import solve_clarabel
 from tests.test_macro_fem.sheets import posed, sheet, solve_scene

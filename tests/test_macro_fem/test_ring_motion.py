@@ -17,7 +17,7 @@ from macro_fem.motion.rings import MovingRings
 from macro_fem.motion.stage import TONNE
 from macro_fem.motion.step import Moment
 from macro_fem.output.images import parts
-from rve.common import InputError
+from rve import InputError
 from rve.finite import slack_rings
 from tests.films import film_of
 from tests.test_macro_fem.sheets import fallen, still_air

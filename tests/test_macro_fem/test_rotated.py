@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from homogenize import default_law
-from macro_fem.fem.hung_law import HungLaw
+from macro_fem.fem import HungLaw
 
 ANGLES = [20.0, 90.0, 135.0]
 

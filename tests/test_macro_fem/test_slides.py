@@ -6,7 +6,7 @@ import pytest
 from homogenize import default_law
 from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
-from rve.common import InputError
+from rve import InputError
 from tests.test_macro_fem.sheets import posed
 
 SIZE = 200.0

@@ -15,9 +15,8 @@ from macro_fem import compare, load_scene, read_scene, solve
 from macro_fem.curtain import gathered_start
 from macro_fem.output.files import features
 from macro_fem.scene.tables import HeldAxes
-from macro_fem.solvers.cones import green_strain
-from macro_fem.solvers.status import load_scale
-from rve.common import InputError
+from macro_fem.solvers import green_strain, load_scale
+from rve import InputError
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
 from tests.test_macro_fem.sheets import posed, sheet, solve_scene
 

@@ -8,8 +8,8 @@ import pytest
 from homogenize import default_law, ring_net
 from macro_fem import read_scene
 from macro_fem.curtain import gathered_start, supports_reach
-from macro_fem.solvers.central_path import solve_path
-from macro_fem.solvers.status import AT_LIMIT, FREE, Evidence, Reach, judged
+from macro_fem.solvers import Evidence, Reach, solve_path
+from macro_fem.solvers.status import AT_LIMIT, FREE, judged
 from macro_fem.solvers.stretch_limit import reach_of
 from rve.geometry import CellInfo
 from tests.test_macro_fem.sheets import posed, sheet, solve_scene

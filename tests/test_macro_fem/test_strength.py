@@ -13,8 +13,7 @@ from macro_fem.output.line_load import FINE
 from macro_fem.output.strength import EXTRAPOLATED, TOO_COARSE, critical_load, nearest, summary, utilisation
 from macro_fem.output.told import combination_lines, holds_line
 from macro_fem.scene.meshing.mesh_files import read_mesh_file
-from rve import Cell, named_material, pulled_ring, read_table, solve_table, with_rings
-from rve.common import InputError
+from rve import Cell, InputError, named_material, pulled_ring, read_table, solve_table, with_rings
 from rve.common.files import write_mesh_file
 from tests.test_macro_fem.sheets import sheet, solve_scene
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from macro_fem import Track, read_scene
-from macro_fem.bounds.interval import bound
+from macro_fem.bounds import bound
 from macro_fem.scene.meshing.edges import Line
 from tests.test_macro_fem.sheets import solve_scene
 

@@ -11,7 +11,7 @@ import pytest
 
 from macro_fem.output.images import save_picture
 from macro_fem.output.page import write_page
-from rve.common import InputError
+from rve import InputError
 from rve.common.drawing.plane import Scale
 from rve.common.drawing.space import FRONT, THREE_QUARTERS, add, arrows, lines, look, new_plotter
 

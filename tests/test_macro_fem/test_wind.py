@@ -18,7 +18,7 @@ from macro_fem.curtain import (
     wind_summary,
 )
 from macro_fem.scene.loads import drag_coefficient, ring_solidity
-from rve.common import InputError
+from rve import InputError
 from tests.test_macro_fem.sheets import posed, sheet
 
 

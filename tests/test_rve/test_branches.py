@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rve import Cell, DirectOptions, grid, read_table, solve_table, support, with_rings, write_table
-from rve.common.tensor import WEIGHT, double_dot, dyad, mirror, trace
-from rve.equilibrium.dead_load import LoadedCell
+from rve.common import WEIGHT, double_dot, dyad, mirror
+from rve.common.tensor import trace
+from rve.equilibrium import Equations, LoadedCell
 from rve.equilibrium.relaxation import best_mixture, equal_shares
-from rve.equilibrium.system import Equations
 from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, WEAVES, deformation_gradient, second_pk
 from rve.solve import reference_sides
 
@@ -28,7 +28,7 @@ def test_where_one_state_is_known_nothing_changes():
     np.testing.assert_array_equal(best.E, first.E)
     assert first.branch is None
     assert (best.branch == "slack").all()
-    assert best.provenance["branches"]["several_states"] == []
+    assert best.origin.notes["branches"]["several_states"] == []
 
 
 def test_two_states_in_balance(tmp_path):
@@ -57,7 +57,7 @@ def test_two_states_in_balance(tmp_path):
     near = share[np.abs(mixed - S).max(axis=1) < 5e-3]
     write_table(best, tmp_path / "t.csv")
     again = read_table(tmp_path / "t.csv")
-    assert again.provenance["branches"]["several_states"][0]["branch"] == "coexisting"
+    assert again.origin.notes["branches"]["several_states"][0]["branch"] == "coexisting"
     assert again.branch.tolist() == best.to_pandas().branch.tolist() == ["coexisting"]
     # Both states bear S, side by side: the mesh is as strong as the weaker one, and gives by their shares.
     ((_, part, rival),) = states.beside

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from homogenize.io import DEFAULT_LAW
-from rve.common import InputError, NotConverged
+from rve import InputError, NotConverged
 from rve.common.commands.command_line import Group
 
 ROOT = Path(__file__).resolve().parents[2]

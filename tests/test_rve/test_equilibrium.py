@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 
 from benchmarks.problems import normality
 from rve import Cell, DirectOptions, solve_table
-from rve.common.tensor import double_dot
-from rve.equilibrium.interior_point import solve_equilibrium
+from rve.common import double_dot
+from rve.equilibrium import Equations, solve_equilibrium
 from rve.equilibrium.limits import contact_forces, polish
 from rve.equilibrium.steps import accept_step
-from rve.equilibrium.system import Equations
 from rve.geometry import (
     FOUR_IN_ONE,
     Pose,

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from rve import Cell, DirectOptions, solve_table
-from rve.equilibrium.interior_point import solve_equilibrium
-from rve.equilibrium.limits import with_limits
-from rve.equilibrium.system import Equations
+from rve.equilibrium import Equations, solve_equilibrium, with_limits
 from rve.geometry import FOUR_IN_ONE, cauchy_line_load
 from rve.simulation import StewartTrinkleOptions
 from rve.simulation import simulate as come_to_rest

@@ -6,8 +6,8 @@ import stat
 
 import pytest
 
-from rve import Cell, read_table, solve_table, write_table
-from rve.common import InputError, check_out_file, check_out_job, checksum, job, sidecar_path
+from rve import Cell, InputError, read_table, solve_table, write_table
+from rve.common import check_out_file, check_out_job, checksum, job, sidecar_path
 
 OLD = {"a.txt": "old a", "sub/b.txt": "old b", "step_1.vtu": "old step"}
 NEW = {"a.txt": "new a", "sub/b.txt": "new b", "c.png": "new c"}
@@ -123,7 +123,7 @@ def test_a_table_and_its_sidecar_belong_together(tmp_path, table):
     sidecar = json.loads(sidecar_path(one).read_text())
     assert sidecar["files"] == {"one.csv": checksum(one)}
     assert read_table(one).cell == table.cell
-    assert read_table(one).record == table.record
+    assert read_table(one).origin == table.origin
     one.rename(tmp_path / "renamed.csv")
     sidecar_path(one).rename(tmp_path / "renamed.json")
     assert len(read_table(tmp_path / "renamed.csv")) == 2

@@ -9,13 +9,11 @@ from click.testing import CliRunner
 
 from rve import WEAVES, Cell, DirectOptions, solve_table, support, with_rings
 from rve.cli import main
-from rve.common.tensor import WEIGHT, double_dot
+from rve.common import WEIGHT, double_dot
 from rve.directions import product
-from rve.equilibrium.dead_load import DeadLoad
+from rve.equilibrium import DeadLoad, Equations, unit_loads
 from rve.equilibrium.global_search import UNSTABLE, in_cell
-from rve.equilibrium.interior_point import unit_loads
 from rve.equilibrium.limits import balanced, loose_motions
-from rve.equilibrium.system import Equations
 from rve.geometry import SIX_IN_ONE, moved, start_pose, strain_of, supercell, tiled, unlisted_gap, weave_sides
 from rve.solve import reference_sides
 
@@ -114,10 +112,10 @@ def test_a_table_of_a_larger_cell_is_normal_and_does_no_less_work():
     work = double_dot(S, table.E)
     assert (work[:, None] - (S * WEIGHT) @ table.E.T).min() > -1e-9
     assert (work[:, None] - (S * WEIGHT) @ flat.E.T).min() > -1e-9
-    assert table.provenance["branches"]["rows_beyond_the_primitive_cell"] > 0
-    assert (table.provenance["cells"], table.provenance["centres"]) == ([2, 1], "space")
-    assert flat.provenance["bound_note"]
-    assert not table.provenance["bound_note"]
+    assert table.origin.notes["branches"]["rows_beyond_the_primitive_cell"] > 0
+    assert (table.origin.notes["cells"], table.origin.notes["centres"]) == ([2, 1], "space")
+    assert flat.origin.notes["bound_note"]
+    assert not table.origin.notes["bound_note"]
 
 
 def test_options_of_larger_cells(tmp_path):

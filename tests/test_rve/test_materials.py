@@ -8,10 +8,9 @@ from multiprocessing.reduction import ForkingPickler
 import pytest
 from click.testing import CliRunner
 
-from rve import MATERIALS, WEAVES, Cell, Material, named_material, read_table
+from rve import MATERIALS, WEAVES, Cell, InputError, Material, named_material, read_table
 from rve.cli import main
-from rve.common import InputError, read_typed
-from rve.common.materials import material_of
+from rve.common import material_of, read_typed
 
 dumps, loads = ForkingPickler.dumps, ForkingPickler.loads
 

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from rve import Material, pulled_ring
-from rve.common import InputError, NotConverged
-from rve.wire import Ring, StrengthOptions, internal_forces, plastic_collapse, self_stress
-from rve.wire.strength import BENDING, TORSION, checked_sections, largest_factors
+from rve import InputError, Material, NotConverged, pulled_ring
+from rve.wire import Ring, StrengthOptions, internal_forces, largest_factors, plastic_collapse, self_stress
+from rve.wire.strength import BENDING, TORSION, checked_sections
 
 from .frame import random_load
 

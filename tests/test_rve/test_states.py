@@ -5,9 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rve import WEAVES, Cell, DirectOptions, grid, read_table, solve_table, support, with_rings
-from rve.common import InputError, NotConverged
-from rve.equilibrium.system import Equations
+from rve import (
+    WEAVES,
+    Cell,
+    DirectOptions,
+    InputError,
+    NotConverged,
+    grid,
+    read_table,
+    solve_table,
+    support,
+    with_rings,
+)
+from rve.equilibrium import Equations
 from rve.geometry import FOUR_IN_ONE, cauchy_line_load, supercell, tiled, unlisted_gap
 from rve.placed import central_forces, largest_forces
 from rve.solve import locked_states

@@ -7,12 +7,11 @@ import pytest
 from click.testing import CliRunner
 
 from benchmarks.every_ring import brute
-from rve import WEAVES, Cell, DirectOptions, grid, solve_table, support
+from rve import WEAVES, Cell, DirectOptions, InputError, grid, solve_table, support
 from rve.cli import main
-from rve.common import InputError
-from rve.common.tensor import WEIGHT, double_dot, from_disc, mirror
-from rve.equilibrium.dead_load import DeadLoad, open_gaps, random_poses, solve_dead
-from rve.equilibrium.system import Equations
+from rve.common import WEIGHT, double_dot, from_disc, mirror
+from rve.equilibrium import DeadLoad, Equations, solve_dead
+from rve.equilibrium.dead_load import open_gaps, random_poses
 from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, find_contacts, moved, reduction, start_pose, strain_of
 from rve.solve import reference_sides
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rve import WEAVES
+from rve.equilibrium import Equations, lattice_load
 from rve.equilibrium.steps import carry_forces
-from rve.equilibrium.system import Equations, lattice_load
 from rve.geometry import (
     FOUR_IN_ONE,
     cauchy_line_load,

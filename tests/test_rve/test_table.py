@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rve import Cell, graded_grid, read_table, solve_table, write_table
-from rve.common import InputError, sidecar_path
+from rve import Cell, InputError, graded_grid, read_table, solve_table, write_table
+from rve.common import sidecar_path
 from rve.directions import parse_angles, product, read_loads
 from rve.table import COLUMNS
 

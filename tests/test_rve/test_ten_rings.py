@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rve.equilibrium.system import Equations
+from rve.equilibrium import Equations
 from rve.geometry import FOUR_IN_ONE, cauchy_line_load
 from rve.simulation import StewartTrinkleOptions
 from rve.simulation import stewart_trinkle as st

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from rve import WEAVES, Cell, DirectOptions, solve_table
-from rve.common import InputError
-from rve.equilibrium.interior_point import solve_equilibrium
-from rve.equilibrium.system import Equations
+from rve import WEAVES, Cell, DirectOptions, InputError, solve_table
+from rve.equilibrium import Equations, solve_equilibrium
 from rve.geometry import (
     FOUR_IN_ONE,
     SIX_IN_ONE,

@@ -1,0 +1,2 @@
+from .interval import CurtainBounds as CurtainBounds
+from .interval import bound as bound

@@ -1,0 +1,12 @@
+from .assembly import SparsityPattern as SparsityPattern
+from .assembly import gradient as gradient
+from .assembly import internal_force as internal_force
+from .assembly import load_vector as load_vector
+from .assembly import stiffness as stiffness
+from .cells import counterclockwise as counterclockwise
+from .cells import recovered as recovered
+from .cells import signed_areas as signed_areas
+from .discretization import Discretization as Discretization
+from .discretization import discretize as discretize
+from .hung_law import HungLaw as HungLaw
+from .supported import SupportedFem as SupportedFem

@@ -1,0 +1,12 @@
+from .dead_load import DeadLoad as DeadLoad
+from .dead_load import LoadedCell as LoadedCell
+from .dead_load import solve_dead as solve_dead
+from .interior_point import DirectOptions as DirectOptions
+from .interior_point import Equilibrium as Equilibrium
+from .interior_point import LockedStates as LockedStates
+from .interior_point import solve_equilibrium as solve_equilibrium
+from .interior_point import unit_loads as unit_loads
+from .limits import with_limits as with_limits
+from .system import Equations as Equations
+from .system import System as System
+from .system import lattice_load as lattice_load
