@@ -92,7 +92,7 @@ def read_options(folder):
 
 def read_curtain_files(folder):
     curtain = read_curtain(folder)
-    curtain.told.cell(curtain.source)
+    curtain.told.info(curtain.source).cell()
 
 
 def read_law(folder):
