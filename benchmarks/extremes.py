@@ -17,8 +17,8 @@ from macro_fem.fem import HungLaw
 from macro_fem.scene.meshing.mesh import build_mesh
 from rve import Cell, InputError, StrainTable, solve_table
 from rve.directions import product
-from rve.equilibrium import Equations
 from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, Weave, cauchy_line_load
+from rve.locking import Equations
 from rve.simulation import ROUND_OFF, StewartTrinkleOptions, simulate
 
 R1, WIRE = 5.0, 0.1

@@ -5,10 +5,10 @@ from .common.materials import Material as Material
 from .common.materials import named_material as named_material
 from .directions import graded_grid as graded_grid
 from .directions import grid as grid
-from .equilibrium.interior_point import DirectOptions as DirectOptions
 from .finite import FiniteMesh as FiniteMesh
 from .geometry import WEAVES as WEAVES
 from .geometry import Cell as Cell
+from .locking.interior_point import DirectOptions as DirectOptions
 from .solve import reference_cell as reference_cell
 from .solve import solve_table as solve_table
 from .support_function import support as support

@@ -116,7 +116,7 @@ def main() -> None:
 @cell_options
 def table(out: Path, rings: bool, joint: str | None, branches: Any, reference: Any, **rest: Any) -> None:
     """Write the strain-load table of a grid or a list of load directions."""
-    from rve.equilibrium.interior_point import DirectOptions
+    from rve.locking.interior_point import DirectOptions
     from rve.solve import solve_table
     from rve.table import check_out_table, write_table
     from rve.wire.cell_stiffness import with_rings
@@ -186,7 +186,7 @@ def case(alpha: float, beta: float, plot: Path | None, **cell: Any) -> None:
 @cell_options
 def support_command(load: str, branches: Any, reference: Any, **cell: Any) -> None:
     """Print h = max S:E of a dead second Piola-Kirchhoff load and the locked state that reaches it, as JSON."""
-    from rve.equilibrium.interior_point import DirectOptions
+    from rve.locking.interior_point import DirectOptions
     from rve.support_function import support
 
     mesh = asked_cell(**cell)

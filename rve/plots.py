@@ -9,10 +9,10 @@ import numpy as np
 from rve.common import Array, digits
 from rve.common.drawing.plane import BLUE, VERMILION, new_axes
 from rve.common.optional import Axes
-from rve.equilibrium.interior_point import LockedStates, unit_loads
-from rve.equilibrium.system import lattice_load
 from rve.geometry.cell import Cell
 from rve.geometry.pose import pair_geometry
+from rve.locking.interior_point import LockedStates, unit_loads
+from rve.locking.system import lattice_load
 from rve.placed.drawn import DrawnRings
 from rve.table import StrainTable
 

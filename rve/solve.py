@@ -10,16 +10,16 @@ from numpy.typing import ArrayLike, NDArray
 from rve.common import SENTENCES, Array, InputError, NotConverged, checked, part_of, versions
 from rve.common.tensor import double_dot
 from rve.directions import grid
-from rve.equilibrium.dead_load import DeadLoad, LoadedCell, solve_dead
-from rve.equilibrium.global_search import in_cell, sample_states
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium, LockedStates, solve_equilibrium
-from rve.equilibrium.limits import with_limits
-from rve.equilibrium.relaxation import MOVED, RowStates, largest_rows
-from rve.equilibrium.system import Equations, mirror_modes
 from rve.geometry.cell import Cell, CellInfo, weave_axes
 from rve.geometry.contacts import unlisted_gap
 from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
 from rve.geometry.pose import Pose
+from rve.locking.dead_load import DeadLoad, LoadedCell, solve_dead
+from rve.locking.global_search import in_cell, sample_states
+from rve.locking.interior_point import DirectOptions, Equilibrium, LockedStates, solve_equilibrium
+from rve.locking.limits import with_limits
+from rve.locking.relaxation import MOVED, RowStates, largest_rows
+from rve.locking.system import Equations, mirror_modes
 from rve.table import Origin, RowQuality, StrainTable
 
 BLOCK = 512

@@ -8,13 +8,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from rve.common import Array, ByValue, InputError, checked
 from rve.common.tensor import double_dot, eigenvalues, trace
-from rve.equilibrium.dead_load import LoadedCell
-from rve.equilibrium.global_search import BestStates, KnownStates, sample_states, search, search_beyond, slack_states
-from rve.equilibrium.interior_point import DirectOptions, unit_loads
-from rve.equilibrium.limits import strain_is_unique
 from rve.geometry.cell import Cell, weave_axes
 from rve.geometry.pose import strain_of
 from rve.geometry.weave import Weave
+from rve.locking.dead_load import LoadedCell
+from rve.locking.global_search import BestStates, KnownStates, sample_states, search, search_beyond, slack_states
+from rve.locking.interior_point import DirectOptions, unit_loads
+from rve.locking.limits import strain_is_unique
 from rve.solve import lattice_mm, mark_unlisted, reference_sides
 
 ROUND_OFF = 1e-6

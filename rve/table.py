@@ -23,9 +23,9 @@ from rve.common.files import TABLE_FORMAT, AnyPath, Inputs, check_out_file
 from rve.common.records import ByValue
 from rve.common.texts import csv_text, number_column, read_as, read_columns, read_json_object
 from rve.common.typed import read_typed, types_of
-from rve.equilibrium.interior_point import DirectOptions, LockedStates
 from rve.geometry.cell import CellInfo, read_cell_info
 from rve.geometry.weave import FOUR_IN_ONE
+from rve.locking.interior_point import DirectOptions, LockedStates
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -88,7 +88,7 @@ class StrainTable(ByValue):
     each row is solved; compliance (n, 3, 3) dE/dS in mm/N or None; origin: rings, options, and what else the sidecar
     file says; states: the locked states of the direct solver, which are not written to files, None for a table that was
     read. branch (n,) str or None: how the locked state was reached, "slack", "restart",
-    or "coexisting" where a second state does the same work under S (`rve.equilibrium.branches`); "below" only in
+    or "coexisting" where a second state does the same work under S (`rve.locking.branches`); "below" only in
     rows of that status.
     strength (n, 2) or None: the yield stress over S11 + S22, in 1/mm, at which the row's load is that of first
     yield and of plastic collapse.

@@ -11,9 +11,9 @@ from benchmarks.measure import Row, least_seconds
 from benchmarks.omissions.compare import trial, trial_table, verdict
 from benchmarks.problems import Array, loads
 from rve import Cell, DirectOptions
-from rve.equilibrium import Equations, Equilibrium, solve_equilibrium, unit_loads
-from rve.equilibrium.limits import polish, touching
 from rve.geometry import cauchy_line_load
+from rve.locking import Equations, Equilibrium, solve_equilibrium, unit_loads
+from rve.locking.limits import polish, touching
 from rve.simulation import StewartTrinkleOptions, simulate
 
 LIGHT = 1e-6

@@ -11,9 +11,9 @@ from benchmarks.omissions.compare import LEFT_OUT, trial, trial_table, verdict
 from benchmarks.omissions.motion import TOLERANCE
 from benchmarks.problems import Array, loads
 from rve import Cell, DirectOptions
-from rve.equilibrium import Equations, Equilibrium, solve_equilibrium
-from rve.equilibrium.system import REACH
 from rve.geometry import SIX_IN_ONE, cauchy_line_load, contacts, pair_geometry
+from rve.locking import Equations, Equilibrium, solve_equilibrium
+from rve.locking.system import REACH
 
 CELLS = {
     "4-in-1, r1/r2 = 4.2": Cell(5.0, 5.0 / 4.2),

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import NonlinearConstraint, minimize
 
-from rve.equilibrium import Equations
 from rve.geometry import Pose, distance_gradient, local_minima, pair_geometry, start_pose, tangent_frame
+from rve.locking import Equations
 
 Array = NDArray[np.float64]
 BOX = (-1.5, 1.5)  # without bounds on the coordinates the first step of SLSQP unlinks the rings

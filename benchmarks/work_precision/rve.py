@@ -14,9 +14,9 @@ from benchmarks.measure import Row, decade, ladder
 from benchmarks.problems import loads as paper_loads
 from benchmarks.work_precision.generic import Programme, slsqp
 from rve import Cell, DirectOptions
-from rve.equilibrium import Equations, Equilibrium, solve_equilibrium
-from rve.equilibrium.limits import strain_is_unique
 from rve.geometry import Pose, cauchy_line_load, deformation, second_pk, strain_of
+from rve.locking import Equations, Equilibrium, solve_equilibrium
+from rve.locking.limits import strain_is_unique
 from rve.simulation import stewart_trinkle as st
 from rve.solve import reference_sides
 

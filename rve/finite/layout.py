@@ -16,10 +16,10 @@ import numpy as np
 import shapely
 
 from rve.common import Array, Index, InputError, checked
-from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.pose import start_pose
 from rve.geometry.weave import WEAVES
+from rve.locking.interior_point import DirectOptions
 from rve.placed.fit import axes_of_weave, neighbours, reference_shares
 from rve.solve import reference_sides
 

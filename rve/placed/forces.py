@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from rve.common import Array, ByValue, NotConverged, checked
 from rve.common.tensor import WEIGHT
-from rve.equilibrium.interior_point import DirectOptions, LockedStates
-from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, load_angles
 from rve.geometry.pose import pair_geometry, tiled
 from rve.geometry.weave import supercell
+from rve.locking.interior_point import DirectOptions, LockedStates
+from rve.locking.system import Equations
 from rve.solve import locked_block, locked_states
 
 

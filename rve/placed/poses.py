@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from rve.common import Array, ByValue, Flags, NotConverged, Rows, checked, part_of
 from rve.common.tensor import WEIGHT, dyad, eigenvalues
 from rve.directions import product
-from rve.equilibrium.dead_load import DeadLoad
-from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
-from rve.equilibrium.system import Equations, add_lattice_curvature
 from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.kinematics import lattice_strain
 from rve.geometry.pose import Pose, mirrored
 from rve.geometry.ring_pair import cross, dot, tangent_frame
+from rve.locking.dead_load import DeadLoad
+from rve.locking.interior_point import DirectOptions, solve_equilibrium
+from rve.locking.system import Equations, add_lattice_curvature
 from rve.placed.fit import shares
 from rve.solve import locked_block, reference_sides
 
@@ -186,7 +186,7 @@ class Spring:
     weak: float = 1e-5
 
     def __call__(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
-        """The `rve.equilibrium.system.Force`."""
+        """The `rve.locking.system.Force`."""
         n, k = pose.normals.shape[:2]
         E, dE = lattice_strain(pose.lattice, self.sides)
         g, H = split_response(E - s[:, :3], self.fold)

@@ -10,10 +10,10 @@ from msgspec import Meta
 
 from rve.common import Array, Index, Typed
 from rve.common.cell_fields import gyration_radius
-from rve.equilibrium.system import Equations
 from rve.geometry.contacts import CellContacts
 from rve.geometry.pose import place_maps, turns_of
 from rve.geometry.weave import Weave
+from rve.locking.system import Equations
 
 Positive = Annotated[float, Meta(gt=0.0, le=1e15)]
 """Products of two stay finite."""

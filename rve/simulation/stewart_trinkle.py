@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from rve.common import Array, Flags, Index, Rows, tell
-from rve.equilibrium.interior_point import unit_loads
-from rve.equilibrium.system import Equations, lattice_load
 from rve.geometry.contacts import CellContacts, find_contacts
 from rve.geometry.pose import Pose, moved, reduction, start_pose
+from rve.locking.interior_point import unit_loads
+from rve.locking.system import Equations, lattice_load
 from rve.simulation.dynamics import Dynamics, StewartTrinkleOptions
 
 ROUND_OFF = 1e-13

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 from rve.common import AnyPath, Array, Index, check_out_job, csv_text, job, require, tell, versions, write_text
 from rve.common.drawing.plane import BLUE, GREEN, VERMILION, new_axes, new_figure, save_figure, viridis
 from rve.directions import grid
-from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, lattice_strain
 from rve.geometry.pose import strain_of
+from rve.locking.system import Equations
 from rve.plots import draw_case
 from rve.simulation.dynamics import StewartTrinkleOptions
 from rve.simulation.stewart_trinkle import CellMotion, History, simulate

@@ -13,15 +13,15 @@ from scipy.optimize import nnls
 from rve.common import Array, Flags, Index, InputError, Rows, checked, tell
 from rve.common.cell_fields import Joint
 from rve.common.tensor import WEIGHT, trace
-from rve.equilibrium.dead_load import DeadLoad
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium, LockedStates
-from rve.equilibrium.limits import SOFT, TOUCHING, shortest, touching
-from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell, weave_axes, weave_sides
 from rve.geometry.kinematics import lattice_strain, second_pk
 from rve.geometry.pose import deformation, tiled
 from rve.geometry.ring_pair import cross, dot, tangent_frame
 from rve.geometry.weave import supercell
+from rve.locking.dead_load import DeadLoad
+from rve.locking.interior_point import DirectOptions, Equilibrium, LockedStates
+from rve.locking.limits import SOFT, TOUCHING, shortest, touching
+from rve.locking.system import Equations
 from rve.solve import locked_states, reference_cell
 from rve.table import StrainTable
 from rve.wire.kernels import flexibility

@@ -4,10 +4,10 @@ import numpy as np
 import shapely
 
 from rve.common import checked
-from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
 from rve.geometry.pose import Pose
 from rve.geometry.ring_pair import tangent_frame
+from rve.locking.interior_point import DirectOptions
 from rve.solve import reference_pose
 
 POINTS = 720

@@ -8,9 +8,9 @@ import pytest
 from rve import Cell, DirectOptions, grid, read_table, solve_table, support, with_rings, write_table
 from rve.common import WEIGHT, double_dot, dyad, mirror
 from rve.common.tensor import trace
-from rve.equilibrium import Equations, LoadedCell
-from rve.equilibrium.relaxation import best_mixture, equal_shares
 from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, WEAVES, deformation_gradient, second_pk
+from rve.locking import Equations, LoadedCell
+from rve.locking.relaxation import best_mixture, equal_shares
 from rve.solve import reference_sides
 
 FIRST = DirectOptions(branches="first")

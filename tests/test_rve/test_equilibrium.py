@@ -10,9 +10,6 @@ from hypothesis import strategies as st
 from benchmarks.problems import normality
 from rve import Cell, DirectOptions, solve_table
 from rve.common import double_dot
-from rve.equilibrium import Equations, solve_equilibrium
-from rve.equilibrium.limits import contact_forces, polish
-from rve.equilibrium.steps import accept_step
 from rve.geometry import (
     FOUR_IN_ONE,
     Pose,
@@ -23,6 +20,9 @@ from rve.geometry import (
     start_pose,
     tangent_frame,
 )
+from rve.locking import Equations, solve_equilibrium
+from rve.locking.limits import contact_forces, polish
+from rve.locking.steps import accept_step
 from rve.solve import locked_block, reference_sides
 
 OPTIONS = DirectOptions()
@@ -286,7 +286,7 @@ def test_a_limit_that_newton_does_not_confirm_is_no_answer(monkeypatch):
     def unconfirmed(*args, **rest):
         return replace(polish(*args, **rest), status=np.full(len(args[2]), "stalled"))
 
-    monkeypatch.setattr("rve.equilibrium.limits.polish", unconfirmed)
+    monkeypatch.setattr("rve.locking.limits.polish", unconfirmed)
     first, table = solve_table(Cell(), loads, FIRST), solve_table(Cell(), loads)
     assert [one.status.tolist() for one in (first, table)] == [["no-limit", "converged"], ["converged"] * 2]
     assert [one.unique.tolist() for one in (limit, first, table)] == [[False, True]] * 3

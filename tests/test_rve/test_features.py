@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rve import Cell, DirectOptions, solve_table
-from rve.equilibrium import Equations, solve_equilibrium, with_limits
 from rve.geometry import FOUR_IN_ONE, cauchy_line_load
+from rve.locking import Equations, solve_equilibrium, with_limits
 from rve.simulation import StewartTrinkleOptions
 from rve.simulation import simulate as come_to_rest
 

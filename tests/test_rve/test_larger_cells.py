@@ -11,10 +11,10 @@ from rve import WEAVES, Cell, DirectOptions, solve_table, support, with_rings
 from rve.cli import main
 from rve.common import WEIGHT, double_dot
 from rve.directions import product
-from rve.equilibrium import DeadLoad, Equations, unit_loads
-from rve.equilibrium.global_search import UNSTABLE, in_cell
-from rve.equilibrium.limits import balanced, loose_motions
 from rve.geometry import SIX_IN_ONE, moved, start_pose, strain_of, supercell, tiled, unlisted_gap, weave_sides
+from rve.locking import DeadLoad, Equations, unit_loads
+from rve.locking.global_search import UNSTABLE, in_cell
+from rve.locking.limits import balanced, loose_motions
 from rve.solve import reference_sides
 
 LOADS = np.array([[0.9, 0.05, 0.1], [0.6, 0.2, 0.4], [0.2, -0.1, 0.8]])

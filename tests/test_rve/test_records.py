@@ -6,8 +6,8 @@ import numpy as np
 
 from rve import Cell, StrainTable, solve_table, with_rings
 from rve.common import Rows
-from rve.equilibrium import Equations, solve_equilibrium
 from rve.geometry import FOUR_IN_ONE, cauchy_line_load, start_pose
+from rve.locking import Equations, solve_equilibrium
 
 
 def frozen(record):

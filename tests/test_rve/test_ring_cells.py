@@ -7,8 +7,8 @@ import pytest
 
 from rve import Cell, DirectOptions, Material, named_material, solve_table, with_rings
 from rve.common import trace
-from rve.equilibrium import Equations, solve_equilibrium, with_limits
 from rve.geometry import FOUR_IN_ONE, cauchy_line_load, deformation, green_lagrange, second_pk, tangent_frame
+from rve.locking import Equations, solve_equilibrium, with_limits
 from rve.placed import central_forces
 from rve.solve import locked_block, reference_sides
 from rve.wire import Ring, out_of_plane_inertia, peak_stress, ring_states, shear_factor

@@ -17,8 +17,8 @@ from rve import (
     support,
     with_rings,
 )
-from rve.equilibrium import Equations
 from rve.geometry import FOUR_IN_ONE, cauchy_line_load, supercell, tiled, unlisted_gap
+from rve.locking import Equations
 from rve.placed import central_forces, largest_forces
 from rve.solve import locked_states
 

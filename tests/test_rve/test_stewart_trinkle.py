@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rve.equilibrium import Equations, solve_equilibrium
 from rve.geometry import FOUR_IN_ONE, cauchy_line_load, strain_of
+from rve.locking import Equations, solve_equilibrium
 from rve.simulation import Dynamics, StewartTrinkleOptions, copies
 from rve.simulation import stewart_trinkle as st
 

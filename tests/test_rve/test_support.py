@@ -10,9 +10,9 @@ from benchmarks.every_ring import brute
 from rve import WEAVES, Cell, DirectOptions, InputError, grid, solve_table, support
 from rve.cli import main
 from rve.common import WEIGHT, double_dot, from_disc, mirror
-from rve.equilibrium import DeadLoad, Equations, solve_dead
-from rve.equilibrium.dead_load import open_gaps, random_poses
 from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, find_contacts, moved, reduction, start_pose, strain_of
+from rve.locking import DeadLoad, Equations, solve_dead
+from rve.locking.dead_load import open_gaps, random_poses
 from rve.solve import reference_sides
 
 FIRST = DirectOptions(branches="first")

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 from rve import WEAVES
-from rve.equilibrium import Equations, lattice_load
-from rve.equilibrium.steps import carry_forces
 from rve.geometry import (
     FOUR_IN_ONE,
     cauchy_line_load,
@@ -16,6 +14,8 @@ from rve.geometry import (
     second_pk,
     start_pose,
 )
+from rve.locking import Equations, lattice_load
+from rve.locking.steps import carry_forces
 
 
 def random_pose(weave, rng, amount=0.08):

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rve.equilibrium import Equations
 from rve.geometry import FOUR_IN_ONE, cauchy_line_load
+from rve.locking import Equations
 from rve.simulation import StewartTrinkleOptions
 from rve.simulation import stewart_trinkle as st
 from tests.test_rve import ten_rings as ten

@@ -7,7 +7,6 @@ import pytest
 from scipy.optimize import linprog
 
 from rve import WEAVES, Cell, DirectOptions, InputError, solve_table
-from rve.equilibrium import Equations, solve_equilibrium
 from rve.geometry import (
     FOUR_IN_ONE,
     SIX_IN_ONE,
@@ -20,6 +19,7 @@ from rve.geometry import (
     start_pose,
     supercell,
 )
+from rve.locking import Equations, solve_equilibrium
 
 
 @pytest.mark.parametrize("name", WEAVES)

@@ -11,10 +11,10 @@ from scipy.optimize import nnls
 
 from rve.common import Array, Flags
 from rve.common.tensor import IDENTITY, eigenvalues
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
-from rve.equilibrium.system import Equations, System
 from rve.geometry.contacts import CellContacts
 from rve.geometry.pose import Pose, moved
+from rve.locking.interior_point import DirectOptions, Equilibrium, solve_equilibrium
+from rve.locking.system import Equations, System
 
 _ON_WAY, _LAST = (1.6e-2, 4e-3, 1e-3), (1e-3, 5e-4, 2.5e-4)
 """Second principal loads over the first, by which the limit is approached, and from which it is extrapolated."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rve.common import Array, Flags, Index
-from rve.equilibrium.system import Equations, System
 from rve.geometry.contacts import CellContacts, parallel_clearance
 from rve.geometry.pose import Pose
+from rve.locking.system import Equations, System
 
 LARGEST_CORRECTION = 0.1
 """Of a coordinate, in r1 or radians."""

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from rve.common import Array, Flags, Index, Rows, tell
 from rve.common.tensor import WEIGHT, double_dot
-from rve.equilibrium.dead_load import MARGINS, LoadedCell, restart, restart_patiently
-from rve.equilibrium.global_search import GAIN, ROUNDS, BestStates, KnownStates, search, states_beyond
-from rve.equilibrium.interior_point import Equilibrium, LockedStates, unit_loads
-from rve.equilibrium.limits import strain_is_unique
 from rve.geometry.kinematics import cauchy_of
 from rve.geometry.pose import Pose, strain_of
+from rve.locking.dead_load import MARGINS, LoadedCell, restart, restart_patiently
+from rve.locking.global_search import GAIN, ROUNDS, BestStates, KnownStates, search, states_beyond
+from rve.locking.interior_point import Equilibrium, LockedStates, unit_loads
+from rve.locking.limits import strain_is_unique
 
 MOVED = 1e-6
 """Strain by which states must differ to be two."""

@@ -12,13 +12,13 @@ import numpy as np
 
 from rve.common import Array
 from rve.common.tensor import trace
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
-from rve.equilibrium.limits import polish, shortest
-from rve.equilibrium.system import Equations, on_coordinates
 from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.contacts import parallel_clearance
 from rve.geometry.kinematics import deformation_gradient, second_pk
 from rve.geometry.pose import Pose, start_pose
+from rve.locking.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
+from rve.locking.limits import polish, shortest
+from rve.locking.system import Equations, on_coordinates
 
 MARGINS = (1e-4, 1e-6)
 """Gaps of a restart in r1, tried in turn. Wider ones converge faster, but may slide into a state of less work."""

@@ -15,11 +15,11 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from rve.common import Array, Flags, Index, Rows, Typed, tell
-from rve.equilibrium.steps import Valley, accept_step, admitted_share, carry_forces, newton_direction
-from rve.equilibrium.system import Equations, System
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import CellContacts
 from rve.geometry.pose import Pose, start_pose
+from rve.locking.steps import Valley, accept_step, admitted_share, carry_forces, newton_direction
+from rve.locking.system import Equations, System
 
 LARGEST_STEP = 0.15
 """Largest change of a coordinate per iteration, in r1 or radians."""
@@ -37,7 +37,7 @@ class DirectOptions(Typed):
     max_iterations: per case and attempt; attempts after the first get four times as many.
     attempts: tries per case; those after the first lower mu slowly.
     patience: iterations without progress after which mu is lowered off the central path.
-    corrections: second-order corrections of a step, which follow curved valleys (`rve.equilibrium.steps`).
+    corrections: second-order corrections of a step, which follow curved valleys (`rve.locking.steps`).
     branches: "largest" looks for the locked state of largest work wherever several coexist, "first" keeps the one
     reached from the slack pose.
     reference: the cell that strains refer to, "side-by-side" or "locked" (`rve.solve.reference_sides`).

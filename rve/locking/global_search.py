@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from rve.common import Array, Index, Rows
 from rve.common.tensor import WEIGHT, double_dot, eigenvalues, from_disc, mirror
-from rve.equilibrium.dead_load import MARGINS, NEAR_MARGIN, LoadedCell, random_poses, restart, solve_dead
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
-from rve.equilibrium.limits import balanced, loose_motions
-from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.pose import Pose, mirrored, strain_of, tiled
+from rve.locking.dead_load import MARGINS, NEAR_MARGIN, LoadedCell, random_poses, restart, solve_dead
+from rve.locking.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
+from rve.locking.limits import balanced, loose_motions
+from rve.locking.system import Equations
 
 GAIN = 1e-9
 """Work at unit trace of S by which a state must exceed another to count as a better one; round-off leaves 1e-12."""
