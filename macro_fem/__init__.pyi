@@ -1,6 +1,6 @@
 from .answer import Solution as Solution
 from .curtain import CurtainSolution as CurtainSolution
-from .demand.rings import OnDemand as OnDemand
+from .demand import OnDemand as OnDemand
 from .job import compare as compare
 from .job import run_scene as run_scene
 from .job import solve as solve

@@ -17,7 +17,7 @@ from rve.common import (
     read_json_object,
     write_text,
 )
-from rve.common.commands.command_line import Group, answer, end_as, made, options, say, say_next
+from rve.common.commands.command_line import Group, answer, end_as, made, options, renamed, say, say_next
 from rve.common.commands.sweeps import SweepItem, further_options, run_sweep, sweep_options
 
 MOST_RINGS = 90_000
@@ -53,15 +53,16 @@ _goes_on = click.option(
 @click.option("--picture/--no-picture", default=True, help="Draw curtain.png (needs matplotlib; in space pyvista).")
 @click.option("--animation", is_flag=True, help="Draw the load steps as curtain.gif (needs pyvista).")
 @click.option("--html", is_flag=True, help="Write curtain.html, which turns in a browser (needs plotly).")
-@click.option("--table", type=PATH, help="Table, CSV, to begin with instead of a law; with --rings.")
-@click.option("--rings", metavar="R1,R2", help="Ask these rings for the law, radii in mm, where the curtain needs it.")
-@click.option("--weave", type=click.Choice(["4-in-1", "6-in-1"]), help="With --rings: weave.  [default: 4-in-1]")
+@click.option("--table", type=PATH, help="Table, CSV, to begin with instead of a law; with --cell.")
+@click.option("--cell", metavar="R1,R2", help="Ask these rings for the law, radii in mm, where the curtain needs it.")
+@renamed("--rings", "--cell R1,R2")
+@click.option("--weave", type=click.Choice(["4-in-1", "6-in-1"]), help="With --cell: weave.  [default: 4-in-1]")
 @click.option(
-    "--grain", type=click.Choice(["y", "x"]), help="With --rings: axis along which rings interlace.  [default: y]"
+    "--grain", type=click.Choice(["y", "x"]), help="With --cell: axis along which rings interlace.  [default: y]"
 )
-@click.option("--accuracy", type=float, help="With --rings: width of the interval over the height.  [default: 5e-3]")
-@click.option("--cache", type=PATH, help="Folder where answers of the rings are kept.")
-@click.option("--no-cache", is_flag=True, help="Keep no answers of the rings, and read none.")
+@click.option("--accuracy", type=float, help="With --cell: width of the interval over the height.  [default: 5e-3]")
+@click.option("--cache", type=PATH, help="Folder where tables of the rings are kept.")
+@click.option("--no-cache", is_flag=True, help="Keep no tables of the rings, and read none.")
 @click.option("--report", type=PATH, help="Write a report, PDF.")
 @click.option("--dxf", type=PATH, help="Write the outline of the flat sheet (needs ezdxf).")
 @click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
@@ -72,13 +73,13 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
     Exit code 0: converged; 1: files are written, and status and message say what is wrong (not converged, or taut:
     supports at the largest stretch of the mesh); 2: bad input; 3: only pictures or the report failed.
     """
-    from macro_fem.demand.rings import ring_options
+    from macro_fem.demand import demand_options
     from macro_fem.job import run_scene
     from macro_fem.output.told import curtain_lines, default_law_lines, motion_lines
     from macro_fem.scene.reading import load_scene
 
     files = {name: more.pop(name) for name in ("picture", "animation", "html", "report", "dxf")}
-    asked = ring_options(law=law_path, **more)
+    asked = demand_options(law=law_path, **more)
     if load_scene(scene).motion is None:
         if goes_on:
             raise InputError(AT_REST)
@@ -89,7 +90,7 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
         from macro_fem.motion.files import run_motion
 
         if asked is not None:
-            raise InputError("--table and --rings: a curtain in motion takes a law, by --law")
+            raise InputError("--table and --cell: a curtain in motion takes a law, by --law")
         if any([explain, files.pop("report"), files.pop("dxf")]):
             raise InputError("--explain, --report and --dxf: are for a curtain at rest, not for a scene with [motion]")
         say(*default_law_lines(law_path))
@@ -116,7 +117,8 @@ def _answer_or_go_on(summary: dict[str, Any], failed: NotDrawn | None, command: 
     epilog="Example: macro_fem size scene.toml --law law.json --vary pitch --from 50 --to 400 --factor 3 --out pitch",
 )
 @_scene_and_law
-@click.option("--rings", metavar="R1,R2", help="Ask these rings for the law, radii in mm; --vary r2 needs it.")
+@click.option("--cell", metavar="R1,R2", help="Ask these rings for the law, radii in mm; --vary r2 needs it.")
+@renamed("--rings", "--cell R1,R2")
 @click.option("--vary", type=click.Choice(["pitch", "mass", "speed", "r2"]), required=True, help="What is varied.")
 @click.option("--from", "low", type=float, required=True, help="Smallest value: mm, kg or m/s.")
 @click.option("--to", "high", type=float, required=True, help="Largest value.")
@@ -126,14 +128,14 @@ def _answer_or_go_on(summary: dict[str, Any], failed: NotDrawn | None, command: 
 @click.option(
     "--jobs", type=click.IntRange(1, 1000), help="Processes side by side.  [default: large meshes one a core]"
 )
-def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None, picture: bool, **asked: Any) -> None:
+def size(scene: Path, law_path: Path | None, cell: str | None, out: Path | None, picture: bool, **asked: Any) -> None:
     """The largest pitch, bar or wind of SCENE, or the thinnest wire, with which it holds.
 
     The same command again goes on from the answers in --out. Exit code 0: found; 2: bad input, or no value holds (its
     files are written).
     """
     from homogenize.fitting import interval_or_law
-    from macro_fem.demand.rings import ring_options
+    from macro_fem.demand import demand_options
     from macro_fem.output.pictures import Pictures
     from macro_fem.scene.reading import load_scene
     from macro_fem.size import find_size
@@ -142,7 +144,7 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
     if out is not None:
         check_out_job(out, "size.json", inputs=[scene, law_path])
         Pictures(picture, stem="size").check()
-    on_demand = ring_options(rings, law_path)
+    on_demand = demand_options(cell, law_path)
     law = interval_or_law(law_path) if law_path is not None and on_demand is None else None
     sought = Sought(load_scene(scene), on_demand or law, asked["vary"], asked["factor"])
     found = find_size(sought, (asked["low"], asked["high"]), out=out, jobs=asked["jobs"])

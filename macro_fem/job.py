@@ -9,7 +9,7 @@ from homogenize.fitting import interval_or_law
 from macro_fem.answer import RECORD, Solution, read_job
 from macro_fem.bounds.interval import admissible_problem, levels
 from macro_fem.curtain import CurtainSolution, make_problem, solve_problem
-from macro_fem.demand.rings import OnDemand, Rings
+from macro_fem.demand import OnDemand, solve_on_demand
 from macro_fem.membrane import MembraneSolution
 from macro_fem.output.pictures import Pictures, draw_all
 from macro_fem.rings.every_ring import Comparison, EveryRing, EveryRingSolution
@@ -22,7 +22,7 @@ from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import Combination, LiveLoad
 from rve import Cell
-from rve.common import Cache, InputError, check_out_job, checked, noted_if_stopped, part_of
+from rve.common import InputError, check_out_job, checked, noted_if_stopped, part_of
 
 Who = MembraneLaw | LawInterval | OnDemand | EveryRing | None
 """Who answers: a law, the interval of laws of a table, a law asked of the rings on the way, or every ring; None for the
@@ -126,24 +126,20 @@ def solve_every_ring(scene: Scene, who: EveryRing) -> EveryRingSolution:
 
 def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
     """The curtain by a law that is asked of the rings; earlier load steps by the law found at full load."""
-    from macro_fem.demand.loop import solve_on_demand, with_strength
-
     check_sizes(scene, who.cell.r1)
-    cell = in_material(scene, who.cell)
+    who = replace(who, cell=in_material(scene, who.cell))
     bounded = replace(scene, solver=replace(scene.solver, bounds=True))
     try:
-        check_bounds(bounded, "--rings asks the rings where bounds of the curtain differ, which")
+        check_bounds(bounded, "--cell asks the rings where bounds of the curtain differ, which")
     except InputError as error:
         error.add_note("make their table by rve table --rings, fit a law, and give it by --law")
         raise
-    kept = Cache(who.cache)
-    note = "give --cache FOLDER to keep the answers of the rings"
-    if kept.folder is not None:
-        note = f"answers of the rings are kept in {kept.folder}, and the same command goes on from there"
+    note = "give --cache FOLDER to keep the tables of the rings"
+    if who.cache is not None:
+        note = f"tables of the rings are kept in {who.cache}, and the same command goes on from there"
     with noted_if_stopped(note):
-        answers = solve_on_demand(bounded, Rings(cell, kept, who.interval()), who.accuracy)
-        found = with_strength(answers)
-        early = _steps(bounded, found.law.inner, scene.load.steps - 1)
+        found = solve_on_demand(bounded, who)
+        early = _steps(bounded, found.rings.law.inner, scene.load.steps - 1)
     return MembraneSolution(bounded, (*early, found.level.solution), (found.level,), found)
 
 

@@ -38,7 +38,7 @@ from rve.common.optional import Axes
 from rve.geometry import CellInfo
 
 if TYPE_CHECKING:
-    from macro_fem.demand.loop import Demand
+    from macro_fem.demand import Demand
 
 
 @dataclass(frozen=True, eq=False, repr=False)

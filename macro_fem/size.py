@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from macro_fem.demand.rings import OnDemand
+from macro_fem.demand import OnDemand
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile
@@ -379,7 +379,7 @@ def _check(sought: Sought) -> None:
     _, what, has = VARIED[vary]
     if vary == "r2":
         if not isinstance(sought.who, OnDemand):
-            raise InputError("--vary r2: needs the rings, by --rings R1,R2, since a law is of one wire")
+            raise InputError("--vary r2: needs the rings, by --cell R1,R2, since a law is of one wire")
     elif not any(map(has, scene.items)):
         scene.refuse(f"--vary {vary}: the scene has no {what}")
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from homogenize import LawInterval, MembraneLaw, default_law, fit
 from macro_fem.curtain import CurtainSolution
-from macro_fem.demand.rings import OnDemand
+from macro_fem.demand import OnDemand
 from macro_fem.job import combined, solve, solve_membrane
 from macro_fem.scene.checks import check_scene
 from macro_fem.scene.scene import Scene

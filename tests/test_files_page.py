@@ -55,7 +55,7 @@ def out(tmp_path_factory):
     for command in (
         "rve table --rings --loads loads.csv --out table.csv",
         "homogenize fit table.csv --out law.json",
-        "macro_fem run plane.toml --rings 5,0.5 --no-cache --accuracy 0.05 --out demand --no-picture",
+        "macro_fem run plane.toml --cell 5,0.5 --no-cache --accuracy 0.05 --out demand --no-picture",
         "macro_fem run space.toml --out space --no-picture",
         "macro_fem run body.toml --out body --no-picture",
         "macro_fem rings plane.toml --out every --no-picture",

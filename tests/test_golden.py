@@ -74,7 +74,7 @@ def test_runs_on_demand(name, tmp_path):
     kept = GOLDEN["demand"][name]
     scene = tmp_path / "scene.toml"
     scene.write_text(GOLDEN["scenes"][name]["scene"], encoding="utf-8")
-    words = ("--rings", "5,0.5", "--accuracy", kept["accuracy"], "--no-cache", "--out", tmp_path / "out")
+    words = ("--cell", "5,0.5", "--accuracy", kept["accuracy"], "--no-cache", "--out", tmp_path / "out")
     run("macro_fem", "run", scene, *words, "--no-picture")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text("utf-8"))
     key = next(key for key in kept if "interval" in key)

@@ -74,11 +74,12 @@ homogenize fit table.csv --out nowhere/law.json -> nowhere
 homogenize fit law.json --out new.json -> law.json: is a law, not a strain-load table; macro_fem run SCENE --law
 homogenize export cloth.json --out umat.f -> kind = cloth: only polyhedral laws are exported
 homogenize plot law.json --table other.csv --out new -> the table: r2, b_x and b_y over r1 are 0.08,
-macro_fem run scene.toml --out new --rings=-5,0.5 -> r1 = -5: rings are from 0.1 to 200 mm
-macro_fem run scene.toml --out new --rings 5,0.5 --cache c --no-cache -> contradict
-macro_fem run scene.toml --out new --accuracy 1e-3 -> belongs to --rings
-macro_fem run scene.toml --out new --rings 8,0.5 --law law.json -> law.json: r2, b_x and b_y over r1 are
-macro_fem run scene.toml --out new --rings 5,0.5 --cache /proc/none -> --cache = /proc/none: cannot be made
+macro_fem run scene.toml --out new --cell=-5,0.5 -> r1 = -5: rings are from 0.1 to 200 mm
+macro_fem run scene.toml --out new --cell 5,0.5 --cache c --no-cache -> contradict
+macro_fem run scene.toml --out new --rings 5,0.5 -> is now --cell R1,R2
+macro_fem run scene.toml --out new --accuracy 1e-3 -> belongs to --cell
+macro_fem run scene.toml --out new --cell 8,0.5 --law law.json -> law.json: r2, b_x and b_y over r1 are
+macro_fem run scene.toml --out new --cell 5,0.5 --cache /proc/none -> --cache = /proc/none: cannot be made
 macro_fem run scene.toml --out new --animation -> [load] steps = 1: there is nothing to animate
 macro_fem run scene.toml --out new --report r.txt -> ends in .pdf
 macro_fem run scene.toml --out new --dxf scene.toml -> scene.toml
@@ -89,9 +90,9 @@ macro_fem run curtain --out new -> curtain: is a folder of a curtain, not a scen
 macro_fem localize law.json --out new -> law.json: is a law, not a folder of a curtain
 macro_fem localize scene.toml --out new -> scene.toml: is a scene, not a folder of a curtain; macro_fem run takes it
 macro_fem run scene.toml --out new --law curtain/summary.json -> is a record of a curtain, not a law
-macro_fem run scene.toml --out new --rings 8,1 --weave 6-in-1 --law law.json
- -> law.json: has the weave 4-in-1 with grain y, --rings the weave 6-in-1 with grain y; give both the same one
-macro_fem run scene.toml --out new --rings 5,0.5 --grain x --law law.json -> the weave 4-in-1 with grain x; give both
+macro_fem run scene.toml --out new --cell 8,1 --weave 6-in-1 --law law.json
+ -> law.json: has the weave 4-in-1 with grain y, --cell the weave 6-in-1 with grain y; give both the same one
+macro_fem run scene.toml --out new --cell 5,0.5 --grain x --law law.json -> the weave 4-in-1 with grain x; give both
 homogenize fit semicolons.csv --out new.json -> semicolons.csv: has semicolons between columns; write commas, and
 homogenize fit lower.csv --out new.json -> lower.csv: column E11 is missing; write E11 in place of e11
 homogenize fit commas.csv --out new.json -> column alpha_deg: '0,5' is not a number; has a decimal comma; write 0.5
@@ -113,7 +114,7 @@ macro_fem size scene.toml --vary speed --from 1 --to 2 --factor 1 -> Error: scen
 macro_fem size moving.toml --vary mass --from 1 --to 2 --factor 1 -> which is not sized
 macro_fem size scene.toml --vary mass --from 3 --to 2 --factor 1 -> the smaller one first
 macro_fem size scene.toml --vary mass --from 1 --to 2 --factor nan -> --factor = nan: must be positive
-macro_fem size scene.toml --vary r2 --from 0.4 --to 0.6 --factor 1 -> Error: --vary r2: needs the rings, by --rings
+macro_fem size scene.toml --vary r2 --from 0.4 --to 0.6 --factor 1 -> Error: --vary r2: needs the rings, by --cell
 macro_fem size scene.toml --vary mass --from 1 --to 2 --factor 1e6 -> no mass from 1 to 2 holds with a factor
 macro_fem size scene.toml --vary pitch --from 120 --to 150 --factor 1 -> divides the edge of 330 mm
 macro_fem sweep scene.toml --out new --report r.pdf -> names one file for all of its items

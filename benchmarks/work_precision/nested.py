@@ -19,16 +19,14 @@ from benchmarks.problems import loads, square
 from homogenize import FitOptions, MembraneLaw, fit
 from homogenize.fitting import law_interval
 from homogenize.laws import LockedRows
-from macro_fem import CurtainSolution, Scene, read_scene
+from macro_fem import OnDemand, Scene, read_scene
 from macro_fem.bounds.interval import admissible_problem
-from macro_fem.curtain import solve_problem
-from macro_fem.demand.directions import first_directions, rounded
-from macro_fem.demand.loop import solve_on_demand
-from macro_fem.demand.rings import Rings
+from macro_fem.curtain import CurtainSolution, solve_problem
+from macro_fem.demand import solve_on_demand
 from macro_fem.scene.meshing.mesh import build_mesh
-from rve import Cell, graded_grid, solve_table, support
-from rve.common import Array, disc, from_disc, trace
-from rve.geometry import CellInfo
+from rve import Cell, graded_grid, grid, reference_cell, solve_table, support
+from rve.common import Array
+from rve.common.tensor import disc, from_disc, trace
 
 HEIGHT = 1000.0
 ERROR, SOLVES, SECONDS = "error of the mean height / height", "ring problems", "s"
@@ -61,8 +59,8 @@ def curtain(law: MembraneLaw, cells: int) -> CurtainSolution:
 
 def nested(cell: Cell, cells: int) -> Nested:
     """The curtain whose every point asks its rings in every round, all points at once."""
-    info = Rings(cell).info
-    rows = answered(cell, first_directions(cell.weave.is_mirrored), None)
+    table = solve_table(cell, grid(15.0, cell.weave))
+    info, rows = table.cell, answered(cell, disc(table.S / trace(table.S)[:, None]), None)
     solves, rounds = len(rows), 0
     for _ in range(MOST_ROUNDS):
         law = law_interval(rows, cell=info).inner
@@ -70,7 +68,7 @@ def nested(cell: Cell, cells: int) -> Nested:
         taut = trace(found.S) > 1e-9 * trace(found.S).max()
         S = found.S[taut] / trace(found.S[taut])[:, None]
         weight = found.problem.disc.weight[taut] * trace(found.S[taut])
-        asked = answered(cell, rounded(disc(S)), rows)
+        asked = answered(cell, disc(S), rows)
         solves, rounds = solves + len(S), rounds + 1
         missing = np.maximum(asked.h[len(rows) :] - law.support(S), 0.0)
         left = float((weight * missing).sum()) / (float(np.abs(found.problem.force).sum()) * HEIGHT)
@@ -107,13 +105,10 @@ def on_demand(cell: Cell, cells: int, accuracy: float) -> tuple[float, int, floa
 
     The run refines its mesh as well; its law is then used on the mesh of the others, half-way between both bounds.
     """
-    found = solve_on_demand(scene(cells), Rings(cell), accuracy)
-    info: CellInfo | None = found.law.law.cell
-    law = law_interval(found.law.rows, cell=info)
-    heights = [curtain(one, cells).mean_height() for one in (law.inner, law.outer)]
-    bounds = found.level
+    found = solve_on_demand(scene(cells), OnDemand(cell, accuracy))
+    heights = [curtain(one, cells).mean_height() for one in (found.rings.law.inner, found.rings.law.outer)]
     scale = float(np.abs(found.level.solution.problem.force).sum()) * HEIGHT
-    return float(np.mean(heights)), found.rings.solves, bounds.gap / scale
+    return float(np.mean(heights)), found.rings.solves, found.level.gap / scale
 
 
 def rows_of(cell: Cell, cells: int, accuracies: Sequence[float]) -> list[Row]:
@@ -142,7 +137,7 @@ def measure(full: bool) -> Section:
     """The section; `full` takes a mesh twice as fine and asks for more accuracy."""
     cells, accuracies = (8, (*ACCURACIES, 2e-3, 1e-3)) if full else (4, ACCURACIES)
     rows = rows_of(Cell(r1=5.0, r2=0.5), cells, accuracies)
-    points = 3 * build_mesh(scene(cells), Rings(Cell()).info).mesh.t.shape[1]
+    points = 3 * build_mesh(scene(cells), reference_cell(Cell())).mesh.t.shape[1]
     forms = {SECONDS: ".1f", ERROR: f"decade {CLOSED}", "interval, law and mesh / height": ".1e"}
     note = (
         f"{points} points of the law. Error: against the nested scheme on the same mesh; its own is what further "

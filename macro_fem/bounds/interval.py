@@ -252,6 +252,6 @@ def mark(error: Array, bulk: float = BULK) -> np.ndarray:
     """
     order = np.argsort(-error, kind="stable")
     reached = np.cumsum(np.maximum(error[order], 0.0))
-    if reached[-1] <= 0.0:
+    if not (reached > 0.0).any():
         return order[:0]
     return order[: int(np.searchsorted(reached, bulk * reached[-1])) + 1]

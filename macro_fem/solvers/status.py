@@ -102,7 +102,6 @@ class Status(StrEnum):
     MESH_LIMIT = "mesh_limit"
     LAW_LIMIT = "law_limit"
     BOUND_LIMIT = "bound_limit"
-    TURN_LIMIT = "turn_limit"
     CURTAIN_LIMIT = "curtain_limit"
     CONTRADICTION = "contradiction"
     OUT_OF_REACH = "out-of-reach"

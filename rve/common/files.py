@@ -237,28 +237,28 @@ class Cache:
             except OSError as error:
                 raise InputError(f"--cache = {self.folder}: cannot be made: {error.strerror}") from error
 
+    def path(self, question: Record, ending: str = ".json") -> Path | None:
+        """The file of a question that JSON can hold; None if nothing is kept."""
+        return None if self.folder is None else Path(self.folder, _digest(question)[:40] + ending)
+
     def get(self, question: Record) -> dict[str, Any] | None:
         """The answer to a question that JSON can hold; None if it is not there."""
-        if self.folder is None:
+        if (path := self.path(question)) is None:
             return None
         try:
-            found = json.loads(Path(self.folder, _file_name(question)).read_bytes())
+            found = json.loads(path.read_bytes())
             return found["answer"] if found["sha256"] == _digest([question, found["answer"]]) else None
         except UNREADABLE:
             return None
 
     def put(self, question: Record, answer: Record) -> None:
         """Keep an answer; InputError if it cannot be written."""
-        if self.folder is not None:
+        if (path := self.path(question)) is not None:
             record = {"question": question, "answer": answer, "sha256": _digest([question, answer])}
-            write_text(Path(self.folder, _file_name(question)), json.dumps(record, indent=1) + "\n")
+            write_text(path, json.dumps(record, indent=1) + "\n")
 
 
 NO_CACHE = Cache()
-
-
-def _file_name(question: Record) -> str:
-    return f"{_digest(question)[:40]}.json"
 
 
 def _digest(value: Any) -> str:

@@ -237,6 +237,16 @@ def options(*added: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return decorate
 
 
+def renamed(old: str, new: str) -> Callable[[Any], Any]:
+    """A decorator that gives a command an option which is refused with what it is called now."""
+
+    def refuse(_: click.Context, option: click.Parameter, value: str | None) -> None:
+        if value is not None:
+            raise click.UsageError(f"{old} = {value}: is now {new}")
+
+    return click.option(old, hidden=True, expose_value=False, callback=refuse)
+
+
 def parse_load(text: str) -> Any:
     """The line load (3,) of --S "S11,S12,S22"; InputError unless it is three numbers."""
     import numpy as np
