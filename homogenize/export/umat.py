@@ -31,14 +31,15 @@ def umat_source(law: MembraneLaw, title: str = "") -> str:
             f"kind = {law.name}: only polyhedral laws are exported, fit one of kind refined, outer or inner"
         )
     body = polyhedron_of(law.S, law.h, law.stiffness)
-    planes = np.column_stack([body.normals, -body.h])
+    size = np.linalg.norm(body.normals, axis=1)
+    planes = np.column_stack([body.normals, -body.h]) / size[:, None]
     blocks = [*data_statements("P", planes.ravel()), *data_statements("R", body.R.T.ravel())]
     fields = {
         "TITLE": title[:60],
         "DENSITY": "(its own)" if law.cell is None else f"{law.cell.areal_mass_kg_per_m2 * 1e-9:.9E}",
         "M": str(len(body.h)),
         "ROUNDS": str(OPTIONS.max_rounds),
-        "TOLERANCE": f"{OPTIONS.tolerance:.1E}".replace("E", "D"),
+        "TOLERANCE": f"{OPTIONS.tolerance / size.max():.1E}".replace("E", "D"),
         "SMALL": f"{OPTIONS.dependent**2:.3E}".replace("E", "D"),
         "DATA": "\n".join(blocks),
     }
