@@ -11,7 +11,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -19,9 +19,7 @@ from typing import Any
 import numpy as np
 
 from homogenize import MembraneLaw, with_material
-from homogenize.export.umat import umat_source
-from homogenize.laws.net import STATED_STIFFNESS
-from homogenize.laws.polyhedral import PolyhedralLaw
+from homogenize.export import even_law, umat_source
 from macro_fem.answer import read_job
 from macro_fem.curtain import forces_by
 from macro_fem.fem.assembly import load_vector
@@ -82,15 +80,6 @@ def left_out(scene: Scene) -> Iterator[str]:
         yield f"[mesh] element = {scene.mesh.element!r}"
 
 
-def deck_law(problem: CurtainProblem) -> MembraneLaw:
-    """The law in the axes of the curtain, its distance to locking measured alike in all directions."""
-    law, turn = problem.law.own, problem.law.to_curtain
-    if not isinstance(law, PolyhedralLaw):
-        return law  # refused where its source is written
-    even = STATED_STIFFNESS * np.eye(3)
-    return replace(law, S=law.S @ turn.T, vertices=law.vertices @ turn.T, stiffness=even)
-
-
 def line_load(problem: CurtainProblem) -> float:
     """Sum of the loads over the size of the curtain, N/mm: the scale of its line loads."""
     return float(np.linalg.norm(problem.force, axis=1).sum()) / problem.mesh.size
@@ -128,7 +117,7 @@ def deck_text(problem: CurtainProblem, title: str = "") -> str:
     return text.replace("\n\n", "\n")
 
 
-def numbered(first: int, rows: Array) -> str:
+def numbered(first: int, rows: Any) -> str:
     """Lines of a number each, from `first` on, and the entries of a row (n, k)."""
     return "\n".join(", ".join([str(i), *(f"{x:.12g}" for x in row)]) for i, row in enumerate(rows.tolist(), first))
 
@@ -155,6 +144,8 @@ def cubes(at: Array, node: int, cell: int) -> str:
 
 def run_calculix(problem: CurtainProblem, text: str, source: str, built: Path) -> CalculixRun:
     """The answer of CalculiX, linked with the material `source`, to a deck; InputError if it cannot be built."""
+    if shutil.which("gfortran") is None or not (built / "ccx.a").exists():
+        raise InputError(f"CALCULIX = {built}: gfortran, or ccx.a there, is missing: see .ci/calculix, or --no-run")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "deck.inp").write_text(text)
@@ -168,7 +159,8 @@ def run_calculix(problem: CurtainProblem, text: str, source: str, built: Path) -
         with part_of("CalculiX"):
             done = subprocess.run([folder / "ccx", "deck"], cwd=folder, capture_output=True, text=True)
         wall_s = time.perf_counter() - begin
-        rows = [line.split() for line in (folder / "deck.sta").read_text().splitlines()]
+        log = folder / "deck.sta"
+        rows = [line.split() for line in log.read_text().splitlines()] if log.exists() else []
         rows = [row for row in rows if len(row) == 7 and row[0].isdigit()]
         good = [row for row in rows if row[2].isdigit()]
         counts = (len(good), sum(int(row[3]) for row in rows), wall_s)
@@ -217,13 +209,16 @@ def compared(problem: CurtainProblem, run: CalculixRun, law: MembraneLaw) -> dic
     }
 
 
-def run_deck(scene_path: Path, law_path: Path | None, out: Path) -> dict[str, Any]:
-    """Write deck.inp, umat.f and deck.json of the scene in a file; where CALCULIX names a folder of `.ci/calculix`, run
-    them and compare. The summary. InputError for scenes and laws that a deck cannot hold."""
+def run_deck(scene_path: Path, law_path: Path | None, out: Path, *, runs: bool = True) -> dict[str, Any]:
+    """Write deck.inp, umat.f and deck.json of the scene in a file; the summary.
+
+    With `runs`, and where CALCULIX names a folder of `.ci/calculix`, they are run and compared. InputError for scenes
+    and laws that a deck cannot hold.
+    """
     scene, law, inputs = read_job(scene_path, law_path, out, RECORD)
     problem = deck_problem(scene, law)
     title = f"{scene_path.name}, law {'of r1/r2 = 10' if law_path is None else law_path.name}"
-    text, source = deck_text(problem, title), umat_source(deck_law(problem), title)
+    text, source = deck_text(problem, title), umat_source(even_law(problem.law.own, problem.law.to_curtain), title)
     summary: dict[str, Any] = {
         "element": "CPS3" if problem.fem.d == 2 else "M3D3",
         "cells": problem.disc.n_cells,
@@ -231,10 +226,24 @@ def run_deck(scene_path: Path, law_path: Path | None, out: Path) -> dict[str, An
         "build": [COMPILE, LINK.format("DIR")],
         "versions": versions(),
     }
-    built = os.environ.get("CALCULIX")
-    if built and shutil.which("gfortran"):
+    if runs and (built := os.environ.get("CALCULIX")):
         summary |= compared(problem, run_calculix(problem, text, source, Path(built).absolute()), law)
     with job(out, RECORD, summary, inputs) as folder:
         write_text(folder / "deck.inp", text)
         write_text(folder / "umat.f", source)
     return summary
+
+
+def deck_lines(summary: dict[str, Any], out: Path) -> list[str]:
+    """What was written, and how CalculiX and we differ, in sentences."""
+    lines = [f"written to {out}: deck.inp, {summary['cells']} triangles {summary['element']}, and umat.f"]
+    if summary["status"] == "written":
+        return [*lines, "build and run it as the head of deck.inp says; with CALCULIX set, this command does"]
+    ended = f"CalculiX {summary['status']}, {summary['iterations']} iterations in {summary['wall_s']:.0f} s"
+    if "force_error" not in summary:
+        return [*lines, f"{ended}, at time {summary['time_reached']:g} of 2"]
+    return [
+        *lines,
+        f"{ended}; mean height {summary['mean_height_mm']:.1f} mm, ours {summary['our_mean_height_mm']:.1f} mm",
+        f"forces of supports differ by up to {summary['force_error']:.2%} of the largest one",
+    ]

@@ -11,12 +11,14 @@ PROPS(3) is a stiffness (N/mm) of slack mesh too in the first step, a hundredth 
 elastic curtains use that of each direction (`homogenize.elastic_law`).
 """
 
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
 from homogenize.laws.geometry import OPTIONS, polyhedron_of
+from homogenize.laws.net import STATED_STIFFNESS
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import MembraneLaw
 from rve.common import Array, InputError, checked, write_text
@@ -47,6 +49,14 @@ def umat_source(law: MembraneLaw, title: str = "") -> str:
     for key, value in fields.items():
         source = source.replace(f"@{key}@", value)
     return source
+
+
+def even_law(law: MembraneLaw, turn: Array) -> MembraneLaw:
+    """A polyhedral law in axes to which `turn` (3, 3) takes triples, as stiff in all directions; others as they are."""
+    if not isinstance(law, PolyhedralLaw):
+        return law
+    even = STATED_STIFFNESS * np.eye(3)
+    return replace(law, S=law.S @ turn.T, vertices=law.vertices @ turn.T, stiffness=even)
 
 
 def data_statements(name: str, values: Array) -> list[str]:
