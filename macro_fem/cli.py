@@ -176,6 +176,29 @@ def modes(scene: Path, law_path: Path | None, number: int, out: Path, picture: b
     end_as(failed)
 
 
+@main.command(epilog="Example: macro_fem deck scene.toml --law law.json --out deck")
+@_scene_and_law
+@click.option("--out", type=PATH, required=True, help="Folder for deck.inp, umat.f and deck.json.")
+@click.option("--run/--no-run", "runs", default=True, help="Run it, where CALCULIX names a folder of .ci/calculix.")
+def deck(scene: Path, law_path: Path | None, out: Path, runs: bool) -> None:
+    """Write SCENE for CalculiX: mesh, supports, loads, steps, user material; run it, and compare forces with ours.
+
+    It takes a curtain at rest under dead loads. Exit code 0: written, and converged if it ran; 1: CalculiX has not
+    converged; 2: bad input.
+    """
+    from macro_fem.deck import deck_lines, run_deck
+    from macro_fem.output.told import default_law_lines
+
+    say(*default_law_lines(law_path))
+    summary = run_deck(scene, law_path, out, runs=runs)
+    say(*deck_lines(summary, out))
+    answer(summary)
+    law = () if law_path is None else ("--law", law_path)
+    say_next("macro_fem", "run", scene, *law, "--out", _beside(out, "ours"), why="our own answer, with pictures")
+    if summary["status"] == "not converged":
+        raise click.exceptions.Exit(1)
+
+
 @main.command(
     context_settings={"ignore_unknown_options": True},
     epilog="Example: macro_fem sweep low.toml high.toml --out curtains --jobs 2 --law law.json",

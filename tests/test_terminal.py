@@ -40,6 +40,7 @@ COMMANDS = {
     "homogenize plot": ("law.json", "--table", "table.csv", "--out", "pictures"),
     "homogenize export": ("law.json", "--out", "law.f"),
     "macro_fem run": ("scene.toml", "--out", ".", "--no-picture"),
+    "macro_fem deck": ("scene.toml", "--law", "law.json", "--out", "deck", "--no-run"),
     "macro_fem modes": ("scene.toml", "--number", "2", "--out", "modes", "--no-picture"),
     "macro_fem size": ("scene.toml", "--vary", "mass", "--from", "0.5", "--to", "1", "--factor", "1e-3"),
     "macro_fem sweep": ("scene.toml", "--out", "curtains", "--no-picture"),

@@ -133,6 +133,57 @@ C     the stress contributes itself
       RETURN
       END
 C
+      SUBROUTINE UMAT_USER(AMAT,IEL,IINT,KODE,PROPS,EMEC,EMEC0,BETA,
+     1 XOKL,VOJ,XKL,VJ,ITHERM,T1L,DTIME,TIME,TTIME,ICMD,IELAS,MI,
+     2 NSTATE,XSINI,XSTATE,STRE,STIFF,IORIEN,PGAUSS,ORAB,PNEWDT,IPKON)
+C     CalculiX's own interface, for whole sheets from a flat start:
+C     material USER..., second Piola-Kirchhoff stress of Green's strain.
+C     PROPS: thickness, total load over size (N/mm).  Up to time 1 the
+C     sheet stiffens and an even tension of slack mesh fades; then the
+C     law is stiff and smooth within 1 % of strain.  A constant tension
+C     across the thickness, with no stiffness, draws it to 0: the energy
+C     is convex in all displacements, also of nodes off the middle plane
+      IMPLICIT NONE
+      CHARACTER*80 AMAT
+      INTEGER IEL,IINT,KODE,ITHERM(*),ICMD,IELAS,MI(*),NSTATE,IORIEN
+      INTEGER IPKON(*),I,K,IERR
+      DOUBLE PRECISION PROPS(*),EMEC(6),EMEC0(6),BETA(6),XOKL(3,3),VOJ
+      DOUBLE PRECISION XKL(3,3),VJ,T1L,DTIME,TIME,TTIME,XSINI(*)
+      DOUBLE PRECISION XSTATE(*),STRE(6),STIFF(21),PGAUSS(3),ORAB(7,*)
+      DOUBLE PRECISION PNEWDT,E(3),S(3),C(3,3),P(4,@M@),R(3,3)
+      DOUBLE PRECISION T,Q,SIZE,SCALE,SLACK
+      COMMON /RMTAB/ P,R
+      T = MIN(TTIME+TIME,1.0D0)
+      Q = PROPS(2)/PROPS(1)
+      SIZE = 0.0D0
+      DO 10 I=1,3
+      DO 10 K=1,3
+   10 SIZE = SIZE+0.25D0*R(I,K)**2
+      SCALE = 5.0D0*300.0D0**T*Q/SIZE
+      SLACK = 1.5D0*0.0033D0**T*Q
+      E(1) = EMEC(1)
+      E(2) = EMEC(4)
+      E(3) = EMEC(2)
+      SIZE = SQRT(SIZE)
+      CALL RMSOFT(E,0.03D0*SIZE,0.02D0*0.5D0**T*SIZE,S,C,IERR)
+      IF (IERR.NE.0) PNEWDT = 0.25D0
+      STRE(1) = SCALE*S(1)+SLACK
+      STRE(2) = SCALE*S(3)+SLACK
+      STRE(3) = Q
+      STRE(4) = SCALE*S(2)
+      STRE(5) = 0.0D0
+      STRE(6) = 0.0D0
+      DO 20 I=1,21
+   20 STIFF(I) = 0.0D0
+      STIFF(1) = SCALE*C(1,1)
+      STIFF(2) = SCALE*C(1,3)
+      STIFF(3) = SCALE*C(3,3)
+      STIFF(7) = 0.5D0*SCALE*C(1,2)
+      STIFF(8) = 0.5D0*SCALE*C(3,2)
+      STIFF(10) = 0.5D0*SCALE*C(2,2)
+      RETURN
+      END
+C
       SUBROUTINE RMEXP(STRAN,DSTRAN,U)
 C     U = exp(STRAN+DSTRAN), symmetric, by a series at a sixteenth and
 C     four squarings; engineering shear, order 11,22,33,12,13,23.
@@ -172,13 +223,66 @@ C
 C     Line load S, tangent C (tensor components) and energy PSI at E;
 C     IERR = 1 if the closest point is not found.
       IMPLICIT NONE
+      INTEGER IERR
+      DOUBLE PRECISION E(3),S(3),C(3,3),PSI,SH(3),PR(3,3)
+      CALL RMNEAR(E,0.0D0,SH,PR,PSI,IERR)
+      CALL RMBACK(SH,PR,S,C)
+      RETURN
+      END
+C
+      SUBROUTINE RMSOFT(E,RAD,EPS,S,C,IERR)
+C     The same of the body that is smaller by RAD all round and grown
+C     by a ball of radius RAD, its kink at the surface smooth over EPS
+C     on both sides; strains, in the metric of the stiffness.
+      IMPLICIT NONE
+      INTEGER I,K,IERR
+      DOUBLE PRECISION E(3),RAD,EPS,S(3),C(3,3),PSI,SH(3),PR(3,3)
+      DOUBLE PRECISION D,T,F,G
+      CALL RMNEAR(E,RAD,SH,PR,PSI,IERR)
+      D = MAX(SQRT(2.0D0*PSI),1.0D-30)
+      T = MAX(D-RAD+EPS,0.0D0)
+      G = MIN(0.5D0*T/EPS,1.0D0)
+      F = 0.25D0*T*T/EPS
+      IF (T.GT.2.0D0*EPS) F = T-EPS
+      DO 10 I=1,3
+      DO 10 K=1,3
+   10 PR(I,K) = F/D*PR(I,K)+(G-F/D)*SH(I)*SH(K)/D**2
+      DO 20 I=1,3
+   20 SH(I) = F/D*SH(I)
+      CALL RMBACK(SH,PR,S,C)
+      RETURN
+      END
+C
+      SUBROUTINE RMBACK(SH,PR,S,C)
+C     Stress and tangent in tensor components from metric coordinates.
+      IMPLICIT NONE
+      INTEGER M,I,K,L,N
+      PARAMETER (M=@M@)
+      DOUBLE PRECISION SH(3),PR(3,3),S(3),C(3,3),P(4,M),R(3,3),W(3)
+      COMMON /RMTAB/ P,R
+      DATA W /1.0D0,2.0D0,1.0D0/
+      DO 110 I=1,3
+      S(I) = (R(1,I)*SH(1)+R(2,I)*SH(2)+R(3,I)*SH(3))/W(I)
+      DO 110 L=1,3
+      C(I,L) = 0.0D0
+      DO 100 K=1,3
+      DO 100 N=1,3
+  100 C(I,L) = C(I,L)+R(K,I)*PR(K,N)*R(N,L)/W(I)
+  110 CONTINUE
+      RETURN
+      END
+C
+      SUBROUTINE RMNEAR(E,RAD,SH,PR,PSI,IERR)
+C     The way SH to E from the closest point of the half-spaces moved
+C     inwards by RAD, the projector PR on the active normals, half the
+C     squared distance PSI.
+      IMPLICIT NONE
       INTEGER M,IERR
       PARAMETER (M=@M@)
-      DOUBLE PRECISION E(3),S(3),C(3,3),PSI,P(4,M),R(3,3),W(3)
+      DOUBLE PRECISION E(3),RAD,PSI,P(4,M),R(3,3)
       DOUBLE PRECISION Y(3),SH(3),X(3),TOP,V,PR(3,3),U(3,3),LEN,FAC(4)
       INTEGER I,K,L,N,ROUND,WORST,ID(4),COUNT
       COMMON /RMTAB/ P,R
-      DATA W /1.0D0,2.0D0,1.0D0/
       IERR = 0
       PSI = 0.0D0
       COUNT = 0
@@ -191,7 +295,7 @@ C     IERR = 1 if the closest point is not found.
       TOP = @TOLERANCE@
       WORST = 0
       DO 30 K=1,M
-      V = P(1,K)*X(1)+P(2,K)*X(2)+P(3,K)*X(3)+P(4,K)
+      V = P(1,K)*X(1)+P(2,K)*X(2)+P(3,K)*X(3)+P(4,K)+RAD
       IF (V.GT.TOP) THEN
         TOP = V
         WORST = K
@@ -199,7 +303,7 @@ C     IERR = 1 if the closest point is not found.
    30 CONTINUE
       IF (WORST.EQ.0) GO TO 60
       V = PSI
-      CALL RMBEST(Y,WORST,ID,FAC,COUNT,SH,PSI)
+      CALL RMBEST(Y,RAD,WORST,ID,FAC,COUNT,SH,PSI)
       IF (PSI.LE.V) GO TO 60
    50 CONTINUE
       IERR = 1
@@ -222,24 +326,16 @@ C     projector on the span of the active normals, by Gram-Schmidt
       DO 90 I=1,3
       DO 90 L=1,3
    90 PR(I,L) = PR(I,L)+U(I,K)*U(L,K)
-      DO 110 I=1,3
-      S(I) = (R(1,I)*SH(1)+R(2,I)*SH(2)+R(3,I)*SH(3))/W(I)
-      DO 110 L=1,3
-      C(I,L) = 0.0D0
-      DO 100 K=1,3
-      DO 100 N=1,3
-  100 C(I,L) = C(I,L)+R(K,I)*PR(K,N)*R(N,L)/W(I)
-  110 CONTINUE
       RETURN
       END
 C
-      SUBROUTINE RMBEST(Y,NEW,ID,FAC,COUNT,SH,PSI)
+      SUBROUTINE RMBEST(Y,RAD,NEW,ID,FAC,COUNT,SH,PSI)
 C     The best of NEW alone, with one and with two of the COUNT active
 C     half-spaces ID: largest energy with multipliers not negative.
       IMPLICIT NONE
       INTEGER M
       PARAMETER (M=@M@)
-      DOUBLE PRECISION Y(3),FAC(4),SH(3),PSI,P(4,M),R(3,3)
+      DOUBLE PRECISION RAD,Y(3),FAC(4),SH(3),PSI,P(4,M),R(3,3)
       DOUBLE PRECISION N(3,3),D(3,3),V(3),LAM(3),T(3),EN,BEST(3),TOP
       INTEGER NEW,ID(4),COUNT,KEEP(3),NK,A,B,I,K,SIZE,LIST(3)
       LOGICAL OK
@@ -260,7 +356,7 @@ C     half-spaces ID: largest energy with multipliers not negative.
       IF (SIZE.GE.2) LIST(2) = ID(A)
       IF (SIZE.EQ.3) LIST(3) = ID(B)
       DO 20 K=1,SIZE
-      V(K) = P(4,LIST(K))
+      V(K) = P(4,LIST(K))+RAD
       DO 20 I=1,3
       N(I,K) = P(I,LIST(K))
    20 V(K) = V(K)+N(I,K)*Y(I)

@@ -11,12 +11,14 @@ PROPS(3) is a stiffness (N/mm) of slack mesh too in the first step, a hundredth 
 elastic curtains use that of each direction (`homogenize.elastic_law`).
 """
 
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
 from homogenize.laws.geometry import OPTIONS, polyhedron_of
+from homogenize.laws.net import STATED_STIFFNESS
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import MembraneLaw
 from rve.common import Array, InputError, checked, write_text
@@ -31,14 +33,15 @@ def umat_source(law: MembraneLaw, title: str = "") -> str:
             f"kind = {law.name}: only polyhedral laws are exported, fit one of kind refined, outer or inner"
         )
     body = polyhedron_of(law.S, law.h, law.stiffness)
-    planes = np.column_stack([body.normals, -body.h])
+    size = np.linalg.norm(body.normals, axis=1)
+    planes = np.column_stack([body.normals, -body.h]) / size[:, None]
     blocks = [*data_statements("P", planes.ravel()), *data_statements("R", body.R.T.ravel())]
     fields = {
         "TITLE": title[:60],
         "DENSITY": "(its own)" if law.cell is None else f"{law.cell.areal_mass_kg_per_m2 * 1e-9:.9E}",
         "M": str(len(body.h)),
         "ROUNDS": str(OPTIONS.max_rounds),
-        "TOLERANCE": f"{OPTIONS.tolerance:.1E}".replace("E", "D"),
+        "TOLERANCE": f"{OPTIONS.tolerance / size.max():.1E}".replace("E", "D"),
         "SMALL": f"{OPTIONS.dependent**2:.3E}".replace("E", "D"),
         "DATA": "\n".join(blocks),
     }
@@ -46,6 +49,14 @@ def umat_source(law: MembraneLaw, title: str = "") -> str:
     for key, value in fields.items():
         source = source.replace(f"@{key}@", value)
     return source
+
+
+def even_law(law: MembraneLaw, turn: Array) -> MembraneLaw:
+    """A polyhedral law in axes to which `turn` (3, 3) takes triples, as stiff in all directions; others as they are."""
+    if not isinstance(law, PolyhedralLaw):
+        return law
+    even = STATED_STIFFNESS * np.eye(3)
+    return replace(law, S=law.S @ turn.T, vertices=law.vertices @ turn.T, stiffness=even)
 
 
 def data_statements(name: str, values: Array) -> list[str]:
