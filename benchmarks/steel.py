@@ -13,8 +13,8 @@ from benchmarks.frame import Section, table
 from benchmarks.measure import ROOT, Row
 from homogenize import default_law, with_material
 from homogenize.laws import PolyhedralLaw, constant_compliance
-from macro_fem import CurtainSolution, Scene, load_scene, solve
-from macro_fem.curtain import make_problem, solve_problem
+from macro_fem import Scene, load_scene, solve
+from macro_fem.curtain import CurtainSolution, make_problem, solve_problem
 from macro_fem.fem import signed_areas
 from macro_fem.output.strength import summary, utilisation
 from macro_fem.scene.meshing.mesh import CurtainMesh, refine

@@ -1,13 +1,10 @@
 from .answer import Solution as Solution
-from .curtain import CurtainSolution as CurtainSolution
 from .demand import OnDemand as OnDemand
 from .job import compare as compare
 from .job import run_scene as run_scene
 from .job import solve as solve
-from .rings.curtain import Curtain as Curtain
 from .rings.curtain import read_curtain as read_curtain
 from .rings.every_ring import EveryRing as EveryRing
-from .rings.field import RingField as RingField
 from .rings.localize import localize as localize
 from .scene.moving import Ball as Ball
 from .scene.moving import Motion as Motion
@@ -42,4 +39,3 @@ from .scene.tables import Solver as Solver
 from .scene.tables import Wind as Wind
 from .size import Size as Size
 from .size import largest_that_holds as largest_that_holds
-from .solvers.status import Status as Status

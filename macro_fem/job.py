@@ -12,8 +12,7 @@ from macro_fem.curtain import CurtainSolution, make_problem, solve_problem
 from macro_fem.demand import OnDemand, solve_on_demand
 from macro_fem.membrane import MembraneSolution
 from macro_fem.output.pictures import Pictures, draw_all
-from macro_fem.rings.every_ring import Comparison, EveryRing, EveryRingSolution
-from macro_fem.rings.ring_scene import in_material, ring_scene
+from macro_fem.rings import Comparison, EveryRing, EveryRingSolution, in_material, ring_scene
 from macro_fem.scene.checks import check_bounds, check_scene, check_sizes
 from macro_fem.scene.meshing.mesh import build_mesh, columns
 from macro_fem.scene.moving import scaled

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from benchmarks.measure import Row
 from homogenize import default_law
 from macro_fem import Scene, read_scene, solve
-from macro_fem.rings.ring_scene import ring_scene
+from macro_fem.rings import ring_scene
 from rve.finite import FiniteSolution
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from benchmarks.every_ring.cases import SHEETS
 from benchmarks.frame import Section, table
 from benchmarks.measure import ROOT, Row
 from macro_fem import load_scene, solve
-from macro_fem.rings.ring_scene import ring_scene
+from macro_fem.rings import ring_scene
 
 METRE = 91
 """Cells across the square metre of the README."""

@@ -11,7 +11,7 @@ from benchmarks.frame import Section, table
 from benchmarks.measure import Row
 from homogenize import MembraneLaw, default_law, fit
 from macro_fem import read_scene, solve
-from macro_fem.rings.ring_scene import ring_scene
+from macro_fem.rings import ring_scene
 from rve import Cell, solve_table, with_rings
 from rve.finite import FiniteSolution
 from rve.wire import Ring, peak_stress

@@ -6,7 +6,7 @@ from benchmarks.every_ring.brute import least_gap, linked_pairs
 from benchmarks.every_ring.cases import SHEETS
 from benchmarks.frame import Section, table
 from benchmarks.measure import Row, outcomes
-from macro_fem.rings.ring_scene import RingScene, ring_scene
+from macro_fem.rings import RingScene, ring_scene
 from rve.finite import FiniteOptions
 from rve.finite.contacts import MeshPose, find_mesh_contacts, links_intact
 from rve.finite.problem import Problem

@@ -15,8 +15,7 @@ import numpy as np
 from scipy import sparse
 
 from homogenize import MembraneLaw
-from macro_fem import CurtainSolution
-from macro_fem.curtain import CurtainProblem, make_solution, stabilising_tension
+from macro_fem.curtain import CurtainProblem, CurtainSolution, make_solution, stabilising_tension
 from macro_fem.fem import SupportedFem, internal_force
 from macro_fem.solvers import (
     Cones,

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from macro_fem import read_scene
 from macro_fem.fem import discretize
-from macro_fem.rings.ring_scene import ring_scene
+from macro_fem.rings import ring_scene
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.supports import build_supports
 from rve import InputError

@@ -10,9 +10,10 @@ import pytest
 from click.testing import CliRunner
 
 from homogenize import default_law
-from macro_fem import Curtain, localize
+from macro_fem import localize
 from macro_fem.cli import main
 from macro_fem.output.files import rings
+from macro_fem.rings import Curtain
 from macro_fem.rings.curtain import Told, curtain_of
 from macro_fem.rings.localize import find_sites, place_rings, turns
 from rve import Cell, DirectOptions, InputError

@@ -26,7 +26,7 @@ from macro_fem.motion.pace import COLUMNS
 from macro_fem.motion.stage import masses_of, mesh_masses, scene_at
 from macro_fem.motion.step import Moment, kinetic_energy
 from macro_fem.output.forces import winds
-from macro_fem.rings.ring_scene import ring_scene
+from macro_fem.rings import ring_scene
 from macro_fem.scene.loads import wind_pressure
 from rve import InputError
 from tests.commands import run

@@ -19,7 +19,7 @@ from macro_fem.curtain import make_problem
 from macro_fem.fem import signed_areas
 from macro_fem.output.files import summarize
 from macro_fem.output.told import hooks_lines
-from macro_fem.rings.ring_scene import ring_scene
+from macro_fem.rings import ring_scene
 from macro_fem.scene.loads import disk_areas
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.meshing.nodes import LEAST_SINE

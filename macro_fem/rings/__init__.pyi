@@ -1,0 +1,11 @@
+from .cost import memory_GB as memory_GB
+from .cost import ring_cost as ring_cost
+from .curtain import Curtain as Curtain
+from .curtain import Sites as Sites
+from .every_ring import Comparison as Comparison
+from .every_ring import EveryRing as EveryRing
+from .every_ring import EveryRingSolution as EveryRingSolution
+from .field import RingField as RingField
+from .ring_scene import RingScene as RingScene
+from .ring_scene import in_material as in_material
+from .ring_scene import ring_scene as ring_scene
