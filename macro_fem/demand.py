@@ -36,21 +36,32 @@ from rve.geometry import cauchy_of, load_angles
 
 ACCURACY = 5e-3
 """Of a run by default."""
-FINE_DEG, COARSE_DEG = 5.0, 15.0
-"""Steps of the first table: of primitive cells, and of larger ones, where a row takes ten times as long."""
-LAW_SHARE = 0.2
-"""The law may widen the interval by this part of what is asked: more saves rows and costs triangles."""
-DECIMALS = 2
-"""Of load directions in degrees."""
-APART, NEAR = 0.5, 0.01
-"""A new row keeps this part of its distance to the nearest row free of other new ones; and is not nearer to a row than
-this in the disc of directions. Larger: fewer rows at once."""
-LOST = 4
-"""How often rows are added because no curtain hangs on the inner law yet."""
-CONTRADICTION = 1e-8
-"""Work at unit trace by which one row must exceed another to contradict it; round-off leaves 1e-12."""
-YIELD_LOOKS = 4
-"""How often the rings are asked at the load that comes nearest to yield, whose place may move with every row."""
+
+
+@dataclass(frozen=True)
+class DemandOptions:
+    """Numbers of the turns."""
+
+    fine_deg: float = 5.0
+    coarse_deg: float = 15.0
+    """Steps of the first table: of primitive cells, and of larger ones, where a row takes ten times as long."""
+    law_share: float = 0.2
+    """The law may widen the interval by this part of what is asked: more saves rows and costs triangles."""
+    decimals: int = 2
+    """Of load directions in degrees."""
+    apart: float = 0.5
+    near: float = 0.01
+    """A new row keeps this part of its distance to the nearest row free of other new ones; and is not nearer to a row
+    than this in the disc of directions. Larger: fewer rows at once."""
+    lost: int = 4
+    """How often rows are added because no curtain hangs on the inner law yet."""
+    contradiction: float = 1e-8
+    """Work at unit trace by which one row must exceed another to contradict it; round-off leaves 1e-12."""
+    yield_looks: int = 4
+    """How often the rings are asked at the load that comes nearest to yield, whose place may move with every row."""
+
+
+DEMAND = DemandOptions()
 SENTENCES = {
     "converged": "the interval of rings and continuous curtain is as narrow as asked",
     "mesh_limit": "the mesh would need more than {who.most_cells} triangles; ask for less accuracy, or start with "
@@ -157,14 +168,14 @@ class Rings:
         self.solves = self.hits = self.failed = 0
         if known is not None and known.law.cell is not None:
             reference_cell(self.cell).check_same(known.law.cell, known.source, "--cell")
-        own = grid(COARSE_DEG if self.cell.is_larger else FINE_DEG, self.cell.weave)
+        own = grid(DEMAND.coarse_deg if self.cell.is_larger else DEMAND.fine_deg, self.cell.weave)
         self.loads = np.transpose(own) if known is None else directions_of(known.rows.S, known.rows)
         table = self._table(self.loads)
         if table.converged.sum() < 4:
             what = f"{self.failed} of {len(table)} load directions have no locked state"
             raise InputError(f"--cell: {what}; try other radii")
         self._learn(table)
-        if known is not None and known.raised <= CONTRADICTION:
+        if known is not None and known.raised <= DEMAND.contradiction:
             self.law = law_interval(known.rows, cell=self.law.law.cell, strength=self.strength)
 
     def ask(self, loads: Array) -> None:
@@ -176,7 +187,7 @@ class Rings:
         table = self._table(loads)
         if table.converged.any():
             self._learn(table, self.law)
-        if self.law.raised > CONTRADICTION:
+        if self.law.raised > DEMAND.contradiction:
             self._learn(self._table(self.loads))
 
     def missing(self, solution: CurtainSolution) -> Array:
@@ -184,9 +195,9 @@ class Rings:
         from those that were asked."""
         problem, law = solution.problem, self.law
         loads = loads_of(problem.disc.weight, problem.law.in_weave(solution.S), law.inner, law.outer)
-        x, free, chosen = places(loads.S, law.rows), APART * distance(loads.S, law.rows), list[int]()
+        x, free, chosen = places(loads.S, law.rows), DEMAND.apart * distance(loads.S, law.rows), list[int]()
         for i in mark(loads.weight * loads.width):
-            if free[i] > APART * NEAR and (np.hypot(*(x[chosen] - x[i]).T) > free[chosen]).all():
+            if free[i] > DEMAND.apart * DEMAND.near and (np.hypot(*(x[chosen] - x[i]).T) > free[chosen]).all():
                 chosen.append(int(i))
         new = np.unique(directions_of(loads.S[chosen], law.rows), axis=0)
         return np.asarray(new[~(new[:, None] == self.loads).all(axis=2).any(axis=1)])
@@ -233,7 +244,7 @@ def directions_of(S: Array, rows: LockedRows) -> Array:
     E = both.E[((S * WEIGHT) @ both.E.T).argmax(axis=1)]
     alpha, beta, _ = load_angles(cauchy_of(S, E))
     alpha = np.abs(alpha) if rows.is_mirrored else alpha
-    return np.column_stack([alpha, beta]).round(DECIMALS)
+    return np.column_stack([alpha, beta]).round(DEMAND.decimals)
 
 
 def distance(S: Array, rows: LockedRows) -> Array:
@@ -272,8 +283,8 @@ def solve_on_demand(scene: Scene, who: OnDemand) -> Demand:
         turns.append(Turn(solution.problem.disc.n_cells, *asked, *ends, time.perf_counter() - began))
         last, level = solution, new if level is None or new.status == "converged" else level
         target, law_part = who.accuracy * _scale(solution), turns[-1].law_part_N_mm
-        rows = rings.missing(solution) if law_part > LAW_SHARE * target else rings.loads[:0]
-        is_coarse = new.gap - law_part > (1.0 - LAW_SHARE) * target or not len(rows)
+        rows = rings.missing(solution) if law_part > DEMAND.law_share * target else rings.loads[:0]
+        is_coarse = new.gap - law_part > (1.0 - DEMAND.law_share) * target or not len(rows)
         cells = mark(level.error) if is_coarse else np.zeros(0, int)
         if end := _end(new, rings, who, target, (len(rows), len(cells))):
             status = end
@@ -291,7 +302,7 @@ def solve_on_demand(scene: Scene, who: OnDemand) -> Demand:
 def _hang(scene: Scene, rings: Rings, mesh: CurtainMesh, last: CurtainSolution | None) -> CurtainSolution:
     """The curtain by the inner law. Where none hangs on it yet rows are added at the stress that proves it; InputError
     if that does not help."""
-    for left in range(LOST if last is None else 0, -1, -1):
+    for left in range(DEMAND.lost if last is None else 0, -1, -1):
         solution = solve_problem(with_cones_of(admissible_problem(scene, rings.law.inner, mesh), last))
         if solution.status == "converged" or not left or not len(missing := rings.missing(solution)):
             break
@@ -307,7 +318,7 @@ def _end(new: CurtainBounds, rings: Rings, who: OnDemand, target: float, more: t
     if new.status != "converged":
         return "bound_limit"
     if new.gap <= target:  # by rows that do not contradict each other, else some h are not the largest work
-        return "converged" if rings.law.raised <= CONTRADICTION else "contradiction"
+        return "converged" if rings.law.raised <= DEMAND.contradiction else "contradiction"
     if len(rings.loads) + more[0] > who.most_loads or (float(new.law_part or 0.0) > target and not more[0]):
         return "law_limit"
     return "mesh_limit" if len(new.error) + 3 * more[1] > who.most_cells else None
@@ -332,13 +343,13 @@ def _line(mesh: CurtainMesh, rings: Rings, level: CurtainBounds | None) -> str:
 
 def _with_strength(level: CurtainBounds, rings: Rings) -> CurtainBounds:
     """The curtain by a law that knows the strength of the rings, exactly at the load of its largest utilisation."""
-    for _ in range(YIELD_LOOKS):
+    for _ in range(DEMAND.yield_looks):
         solution = level.solution
         own = replace(solution.problem.law.own, strength=rings.strength)  # type: ignore[type-var]
         problem = replace(solution.problem, law=replace(solution.problem.law, own=own))
         level = replace(level, solution=replace(solution, problem=problem))
         load = critical_load(level.solution)
-        if load is None or distance(load[None] / trace(load), rings.law.rows)[0] < NEAR:
+        if load is None or distance(load[None] / trace(load), rings.law.rows)[0] < DEMAND.near:
             break
         rings.ask(directions_of(load[None], rings.law.rows))
     return level

@@ -18,7 +18,7 @@ from rve.locking.dead_load import DeadLoad, LoadedCell, solve_dead
 from rve.locking.global_search import in_cell, sample_states
 from rve.locking.interior_point import DirectOptions, Equilibrium, LockedStates, solve_equilibrium
 from rve.locking.limits import with_limits
-from rve.locking.relaxation import MOVED, RowStates, largest_rows
+from rve.locking.relaxation import MIXTURE, RowStates, largest_rows
 from rve.locking.system import Equations, mirror_modes
 from rve.table import Origin, RowQuality, StrainTable
 
@@ -152,7 +152,7 @@ def largest_table(
         rows = replace(rows, found=in_cell(rows.found, rows.s, mesh.cauchy))
         rows, left, more = largest_rows(rows, states.s, mesh, sample)
         beside |= more
-        record = {"rows_beyond_the_primitive_cell": int((np.abs(rows.E - primitive).max(axis=1) > MOVED).sum())}
+        record = {"rows_beyond_the_primitive_cell": int((np.abs(rows.E - primitive).max(axis=1) > MIXTURE.moved).sum())}
     status = np.where(left, "below", rows.found.status).astype("<U16")
     found = mark_unlisted(replace(rows.found, status=status), mesh.cell)
     known = tuple((np.full(len(each[0]), i), *each) for i, each in beside.items() if rows.branch[i] == "coexisting")

@@ -20,17 +20,27 @@ from rve.locking.interior_point import DirectOptions, Equilibrium, solve_equilib
 from rve.locking.limits import polish, shortest
 from rve.locking.system import Equations, on_coordinates
 
-MARGINS = (1e-4, 1e-6)
-"""Gaps of a restart in r1, tried in turn. Wider ones converge faster, but may slide into a state of less work."""
-NEAR_MARGIN = 1e-3
-"""Gaps of restarts from near loads: they need not climb from where they start."""
-TOLERANCE, MU_END = 1e-10, 1e-12
-"""Residual and last complementarity of restarts: states on the verge of giving way converge linearly in the last
-digits, and round-off of merging contacts allows no smaller gaps."""
-WALK, STRIDE = 20, 0.12
-"""Steps of a random walk from the slack pose, and the largest of them in r1 and radians."""
-START_GAP = 1e-3
-"""Gaps in r1 that random poses keep."""
+
+@dataclass(frozen=True)
+class RestartOptions:
+    """Numbers of restarts and of random poses."""
+
+    margins: tuple[float, ...] = (1e-4, 1e-6)
+    """Gaps of a restart in r1, tried in turn. Wider ones converge faster, but may slide into a state of less work."""
+    near_margin: float = 1e-3
+    """Gaps of restarts from near loads: they need not climb from where they start."""
+    tolerance: float = 1e-10
+    mu_end: float = 1e-12
+    """Residual and last complementarity of restarts: states on the verge of giving way converge linearly in the last
+    digits, and round-off of merging contacts allows no smaller gaps."""
+    walk: int = 20
+    stride: float = 0.12
+    """Steps of a random walk from the slack pose, and the largest of them in r1 and radians."""
+    start_gap: float = 1e-3
+    """Gaps in r1 that random poses keep."""
+
+
+RESTART = RestartOptions()
 
 
 @dataclass(frozen=True)
@@ -90,12 +100,12 @@ def solve_dead(S: Array, equations: Equations, options: DirectOptions, start: Po
 
 def _patient(options: DirectOptions) -> DirectOptions:
     """Options of loads that stall: mu falls slowly, and steps follow curved valleys."""
-    return _once(options, shrink=0.5, corrections=2, tolerance=max(options.tolerance, TOLERANCE))
+    return _once(options, shrink=0.5, corrections=2, tolerance=max(options.tolerance, RESTART.tolerance))
 
 
 def _once(options: DirectOptions, **changed: Any) -> DirectOptions:
     """One attempt that ends where round-off of merging contacts begins."""
-    return replace(options, attempts=1, power=1.0, mu_end=max(MU_END, options.mu_end), **changed)
+    return replace(options, attempts=1, power=1.0, mu_end=max(RESTART.mu_end, options.mu_end), **changed)
 
 
 def open_gaps(pose: Pose, equations: Equations, margin: float) -> Pose:
@@ -121,21 +131,21 @@ def open_gaps(pose: Pose, equations: Equations, margin: float) -> Pose:
 
 def restart(loads: Array, equations: Equations, start: Pose, margin: float, options: DirectOptions) -> Equilibrium:
     """Locked states under `loads` (n, 3) from the locked poses `start`, whose gaps are first opened to `margin`."""
-    least, most = max(options.tolerance, TOLERANCE), min(90, options.max_iterations)
+    least, most = max(options.tolerance, RESTART.tolerance), min(90, options.max_iterations)
     near = _once(options, mu_start=margin, shrink=0.3, max_iterations=most, tolerance=least)
     return solve_equilibrium(loads, equations, near, open_gaps(start, equations, margin))
 
 
 def restart_patiently(
-    loads: Array, equations: Equations, start: Pose, options: DirectOptions, margin: float = MARGINS[0]
+    loads: Array, equations: Equations, start: Pose, options: DirectOptions, margin: float = RESTART.margins[0]
 ) -> Equilibrium:
     """`restart`; loads that stall, as of rank one do, from gaps of 1e-6 and along curved valleys, and if these lead
     nowhere by Newton's method with the contacts that are closed."""
     found = restart(loads, equations, start, margin, options)
     left = np.flatnonzero(found.status != "converged")
     if len(left) and options.max_iterations:
-        slower = replace(_patient(options), mu_start=MARGINS[1], max_iterations=200)
-        opened = open_gaps(start.take(left), equations, MARGINS[1])
+        slower = replace(_patient(options), mu_start=RESTART.margins[1], max_iterations=200)
+        opened = open_gaps(start.take(left), equations, RESTART.margins[1])
         found = found.put(left, solve_equilibrium(loads[left], equations, slower, opened))
         left = left[found.status[left] != "converged"]
     if len(left):
@@ -151,16 +161,16 @@ def random_poses(equations: Equations, count: int) -> Pose:
     make rings overlap or pass through each other are left out.
     """
     rng, pose = np.random.default_rng(0), start_pose(equations.weave, count)
-    shape, stride = (count, equations.modes.shape[1]), np.full((count, 1), STRIDE)
+    shape, stride = (count, equations.modes.shape[1]), np.full((count, 1), RESTART.stride)
     drift = rng.uniform(-1.0, 1.0, shape)
-    for _ in range(WALK):
+    for _ in range(RESTART.walk):
         step = stride * (0.4 * drift + 0.6 * rng.uniform(-1.0, 1.0, shape))
         there = equations.moved(pose, step)
         contacts = equations.contacts(there)
-        good = contacts.links_intact & (contacts.min_gap > START_GAP)
+        good = contacts.links_intact & (contacts.min_gap > RESTART.start_gap)
         good &= parallel_clearance(pose, there, equations.weave, equations.wire) > 0.0
         rows = np.flatnonzero(good)
         pose = pose.put(rows, there.take(rows))
-        stride = np.where(good[:, None], np.minimum(1.5 * stride, STRIDE), 0.5 * stride)
+        stride = np.where(good[:, None], np.minimum(1.5 * stride, RESTART.stride), 0.5 * stride)
         drift = np.where(good[:, None], drift, rng.uniform(-1.0, 1.0, shape))
     return pose

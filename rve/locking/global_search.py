@@ -18,30 +18,42 @@ from rve.common import Array, Index, Rows
 from rve.common.tensor import WEIGHT, double_dot, eigenvalues, from_disc, mirror
 from rve.geometry.cell import Cell
 from rve.geometry.pose import Pose, mirrored, strain_of, tiled
-from rve.locking.dead_load import MARGINS, NEAR_MARGIN, LoadedCell, random_poses, restart, solve_dead
+from rve.locking.dead_load import RESTART, LoadedCell, random_poses, restart, solve_dead
 from rve.locking.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
 from rve.locking.limits import balanced, loose_motions
 from rve.locking.system import Equations
 
-GAIN = 1e-9
-"""Work at unit trace of S by which a state must exceed another to count as a better one; round-off leaves 1e-12."""
-SAMPLE = 48
-"""Loads of the sample, a third of them of rank one; half of them for weaves with images. With more, narrower basins are
-found, and a single load takes longer."""
-ROUGH = 1e-5
-"""Path parameter and residual at which the states of the sample end: starts as good as exact ones, in less time."""
-THICK = 1.0 / 12.0
-"""r2/r1 from which on the search is quick: there loads have one state, but for some near rank one. Larger: tables of
-thick wires take half as long again."""
-QUICK, NARROW = 35, 0.1
-"""Iterations of a quick search, slower loads are left as they are; and the ratio of principal loads below which it
-restarts a load that has a state."""
-ROUNDS = 6
-"""Rounds of restarts at most; a load that is still below a known state then has the status "below"."""
-UNSTABLE, MODES = -1e-6, 3
-"""Stiffness in s r1^2 below which a motion gives way, and how many of a state are followed, the softest ones."""
-PUSH, DISTURBED = 0.06, 0.2
-"""Largest displacement of a start along a motion, and of one at random, in radii of the wire: none passes another."""
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """Numbers of the search."""
+
+    gain: float = 1e-9
+    """Work at unit trace of S by which a state must exceed another to count as a better one; round-off leaves 1e-12."""
+    sample: int = 48
+    """Loads of the sample, a third of them of rank one; half of them for weaves with images. With more, narrower basins
+    are found, and a single load takes longer."""
+    rough: float = 1e-5
+    """Path parameter and residual at which the states of the sample end: starts as good as exact ones, in less time."""
+    thick: float = 1.0 / 12.0
+    """r2/r1 from which on the search is quick: there loads have one state, but for some near rank one. Larger: tables
+    of thick wires take half as long again."""
+    quick: int = 35
+    narrow: float = 0.1
+    """Iterations of a quick search, slower loads are left as they are; and the ratio of principal loads below which it
+    restarts a load that has a state."""
+    rounds: int = 6
+    """Rounds of restarts at most; a load that is still below a known state then has the status "below"."""
+    unstable: float = -1e-6
+    modes: int = 3
+    """Stiffness in s r1^2 below which a motion gives way, and how many of a state are followed, the softest ones."""
+    push: float = 0.06
+    disturbed: float = 0.2
+    """Largest displacement of a start along a motion, and of one at random, in radii of the wire: none passes
+    another."""
+
+
+SEARCH = SearchOptions()
 
 
 @dataclass(frozen=True)
@@ -104,9 +116,9 @@ class BestStates:
             row, value = rows[k], float(work[k])
             if new.status[k] != "converged":
                 continue
-            if all(abs(value - other) > GAIN for other in works[row]):
+            if all(abs(value - other) > SEARCH.gain for other in works[row]):
                 works[row] = sorted([*works[row], value])
-            if value > h[row] + GAIN:
+            if value > h[row] + SEARCH.gain:
                 h[row], best[row] = value, k
         up = np.flatnonzero(best >= 0)
         names[up] = branch
@@ -121,17 +133,17 @@ def slack_states(S: Array, mesh: LoadedCell) -> BestStates:
 
 @lru_cache(maxsize=8)
 def sample_states(cell: Cell, sides_mm: tuple[float, float], options: DirectOptions) -> KnownStates:
-    """Locked states of `SAMPLE` loads all over the disc of loads, weave axes, with their images.
+    """Locked states of `SEARCH.sample` loads all over the disc of loads, weave axes, with their images.
 
     Each load starts from a random admissible pose of its own, since paths from the slack pose keep its symmetry. The
     states are rough: as admissible poses they bound the work of every load from below all the same.
     """
     mesh = LoadedCell.of(cell, sides_mm, options)
-    count = SAMPLE // 2 if mesh.dead.weave.has_images else SAMPLE
+    count = SEARCH.sample // 2 if mesh.dead.weave.has_images else SEARCH.sample
     k = np.arange(count)
     radius, angle = np.minimum(np.sqrt(1.5 * (k + 0.5) / count), 1.0), np.pi * (3.0 - np.sqrt(5.0)) * k
     S = from_disc(radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
-    rough = replace(hasty(mesh), attempts=1, power=1.0, shrink=0.3, mu_end=ROUGH, tolerance=ROUGH)
+    rough = replace(hasty(mesh), attempts=1, power=1.0, shrink=0.3, mu_end=SEARCH.rough, tolerance=SEARCH.rough)
     found = solve_equilibrium(S, mesh.dead, rough, random_poses(mesh.dead, count))
     good = found.status == "converged"
     return KnownStates.of(mesh, found.pose.take(good), S[good])
@@ -139,13 +151,13 @@ def sample_states(cell: Cell, sides_mm: tuple[float, float], options: DirectOpti
 
 def is_thick(mesh: LoadedCell) -> bool:
     """Whether the search of this cell is quick."""
-    return mesh.cell.wire >= THICK
+    return mesh.cell.wire >= SEARCH.thick
 
 
 def hasty(mesh: LoadedCell) -> DirectOptions:
-    """The options of the cell; in a quick search with `QUICK` iterations at most."""
+    """The options of the cell; in a quick search with `SEARCH.quick` iterations at most."""
     most = mesh.options.max_iterations
-    return replace(mesh.options, max_iterations=min(QUICK, most) if is_thick(mesh) else most)
+    return replace(mesh.options, max_iterations=min(SEARCH.quick, most) if is_thick(mesh) else most)
 
 
 def search(best: BestStates, sample: KnownStates, others: KnownStates | None = None) -> BestStates:
@@ -157,11 +169,11 @@ def search(best: BestStates, sample: KnownStates, others: KnownStates | None = N
     """
     mesh, S = best.mesh, best.S
     low, high = eigenvalues(S)
-    is_narrow, quick = low < NARROW * high, is_thick(mesh)
+    is_narrow, quick = low < SEARCH.narrow * high, is_thick(mesh)
     rows = np.flatnonzero(is_narrow | ~np.isfinite(best.h) | (not quick))
     if len(sample.S) and len(rows):
         start = sample.pose.take(sample.works(S[rows]).argmax(axis=1))
-        new = restart(S[rows], mesh.dead, start, NEAR_MARGIN, hasty(mesh))
+        new = restart(S[rows], mesh.dead, start, RESTART.near_margin, hasty(mesh))
         best = best.improved(rows, new, "restart")
     long = np.flatnonzero(is_narrow & (not quick))
     if len(long):
@@ -178,23 +190,23 @@ def climb(best: BestStates, states: KnownStates) -> BestStates:
     """The best states after restarts from those of `states`, and of each other, that do more work, until none does."""
     mesh, S = best.mesh, best.S
     tried = np.zeros((len(S), 0), dtype=bool)
-    for _ in range(ROUNDS):
+    for _ in range(SEARCH.rounds):
         tried = np.pad(tried, ((0, 0), (0, len(states.S) - tried.shape[1])))
         gain = np.where(tried, -np.inf, states.works(S) - best.h[:, None])
-        rows = np.flatnonzero((gain.max(axis=1, initial=-np.inf) > GAIN) & np.isfinite(best.h))
+        rows = np.flatnonzero((gain.max(axis=1, initial=-np.inf) > SEARCH.gain) & np.isfinite(best.h))
         if not len(rows):
             return best
         source = gain[rows].argmax(axis=1)
         tried[rows, source] = True
-        for margin in MARGINS:
+        for margin in RESTART.margins:
             new = restart(S[rows], mesh.dead, states.pose.take(source), margin, mesh.options)
             best = best.improved(rows, new, "restart")
-            low = best.h[rows] < double_dot(S[rows], states.E[source]) - GAIN
+            low = best.h[rows] < double_dot(S[rows], states.E[source]) - SEARCH.gain
             rows, source = rows[low], source[low]
             if not len(rows):
                 break
         states = states.join([best.states])
-    below = (states.works(S).max(axis=1, initial=-np.inf) > best.h + GAIN) & np.isfinite(best.h)
+    below = (states.works(S).max(axis=1, initial=-np.inf) > best.h + SEARCH.gain) & np.isfinite(best.h)
     status = np.where(below, "below", best.found.status).astype("<U16")
     return replace(best, found=replace(best.found, status=status))
 
@@ -210,16 +222,16 @@ def states_beyond(pose: Pose, S: Array, mesh: LoadedCell) -> KnownStates:
     equations, s = mesh.dead, unit_loads(S)
     way = np.random.default_rng(0).uniform(-1.0, 1.0, (len(S), equations.modes.shape[1]))
     way[:, :3] = 0.0
-    rows, ways = [np.arange(len(S))], [DISTURBED * equations.wire * way]
+    rows, ways = [np.arange(len(S))], [SEARCH.disturbed * equations.wire * way]
     for i, stiffness, motions in loose_motions(equations, balanced(pose, s, equations), s):
-        gives = motions.T[np.flatnonzero(stiffness < UNSTABLE)[:MODES]]
+        gives = motions.T[np.flatnonzero(stiffness < SEARCH.unstable)[: SEARCH.modes]]
         rows.append(np.full(len(gives), i))
-        ways.append(PUSH * equations.wire * gives / np.abs(gives).max(axis=1, keepdims=True))
+        ways.append(SEARCH.push * equations.wire * gives / np.abs(gives).max(axis=1, keepdims=True))
     row, way = np.concatenate(rows), np.concatenate(ways)
     here = pose.take(row)
     start = equations.moved(here, way)
-    new = restart(S[row], equations, start, NEAR_MARGIN, mesh.options)
-    more = double_dot(S[row], strain_of(new.pose, mesh.sides) - strain_of(here, mesh.sides)) > GAIN
+    new = restart(S[row], equations, start, RESTART.near_margin, mesh.options)
+    more = double_dot(S[row], strain_of(new.pose, mesh.sides) - strain_of(here, mesh.sides)) > SEARCH.gain
     more &= new.status == "converged"
     return KnownStates.of(mesh, new.pose.take(more), S[row[more]])
 

@@ -20,24 +20,33 @@ from rve.common import Array, Flags, Index, Rows, tell
 from rve.common.tensor import WEIGHT, double_dot
 from rve.geometry.kinematics import cauchy_of
 from rve.geometry.pose import Pose, strain_of
-from rve.locking.dead_load import MARGINS, LoadedCell, restart, restart_patiently
-from rve.locking.global_search import GAIN, ROUNDS, BestStates, KnownStates, search, states_beyond
+from rve.locking.dead_load import RESTART, LoadedCell, restart, restart_patiently
+from rve.locking.global_search import SEARCH, BestStates, KnownStates, search, states_beyond
 from rve.locking.interior_point import Equilibrium, LockedStates, unit_loads
 from rve.locking.limits import strain_is_unique
 
-MOVED = 1e-6
-"""Strain by which states must differ to be two."""
-SHARE_STEPS = 30
-"""Steps of Newton's method for the shares of given strains."""
-PART = 1e-7
-"""Change of shares by which their derivatives are taken as differences."""
-MIXTURE_STEPS = 30
-"""Exchanges of states in a mixture; eight were the most of 59 loads at r1/r2 = 29 to 100."""
-BALANCE_STEPS = 8
-"""Steps of Newton's method for the load S* of coexisting states."""
-WORK_TOLERANCE, LOAD_TOLERANCE = 1e-10, 1e-6
-"""Differences of the works S*:E at unit trace, and of S* from that of the mixture, below which states are in balance;
-after `BALANCE_STEPS` equal works are enough."""
+
+@dataclass(frozen=True)
+class MixtureOptions:
+    """Numbers of states that coexist."""
+
+    moved: float = 1e-6
+    """Strain by which states must differ to be two."""
+    share_steps: int = 30
+    """Steps of Newton's method for the shares of given strains."""
+    part: float = 1e-7
+    """Change of shares by which their derivatives are taken as differences."""
+    mixture_steps: int = 30
+    """Exchanges of states in a mixture; eight were the most of 59 loads at r1/r2 = 29 to 100."""
+    balance_steps: int = 8
+    """Steps of Newton's method for the load S* of coexisting states."""
+    work_tolerance: float = 1e-10
+    load_tolerance: float = 1e-6
+    """Differences of the works S*:E at unit trace, and of S* from that of the mixture, below which states are in
+    balance; after `MIXTURE.balance_steps` equal works are enough."""
+
+
+MIXTURE = MixtureOptions()
 UNDECIDED = "below"
 """Branch of a row between two rounds whose pose is that of its last rival."""
 Beside = dict[int, tuple[Array, LockedStates]]
@@ -92,7 +101,7 @@ class RowStates(Rows):
 
     def contradicted(self, states: KnownStates) -> Index:
         """Rows under whose S one of the states does more work than their own, or that are on their way."""
-        return np.flatnonzero((_missing_work(self, states) > GAIN) | (self.branch == UNDECIDED))
+        return np.flatnonzero((_missing_work(self, states) > SEARCH.gain) | (self.branch == UNDECIDED))
 
 
 def largest_rows(rows: RowStates, s: Array, mesh: LoadedCell, sample: KnownStates) -> tuple[RowStates, Flags, Beside]:
@@ -112,7 +121,7 @@ def largest_rows(rows: RowStates, s: Array, mesh: LoadedCell, sample: KnownState
         _, lead, S = _best_mixtures(s[stalled], rows.states(mesh).join([known]), mesh)
         rows = rows.put(stalled, rows.take(stalled).led(lead, S, mesh))
     fresh = np.flatnonzero(np.isfinite(rows.E[:, 0]))
-    for count in range(ROUNDS + 1):
+    for count in range(SEARCH.rounds + 1):
         states = rows.states(mesh).join([known])
         if is_larger:  # a search of every row would take too long
             fresh = rows.contradicted(states)
@@ -121,7 +130,7 @@ def largest_rows(rows: RowStates, s: Array, mesh: LoadedCell, sample: KnownState
         known = known.join([KnownStates.of(mesh, best.found.pose.take(better), best.S[better])])
         states = rows.states(mesh).join([known])
         bad = rows.contradicted(states)
-        if not len(bad) or count == ROUNDS:
+        if not len(bad) or count == SEARCH.rounds:
             break
         tell(f"{len(bad)} loads for which other states do more work, round {count + 1}")
         solved, more, both = _solve_from_rivals(rows.take(bad), s[bad], states, mesh)
@@ -154,11 +163,11 @@ def _solve_from_rivals(
     the states of the mixture coexist, if they can be brought to the same work. Else it goes on from the new state.
     """
     mixtures, lead, S = _best_mixtures(s, known, mesh)
-    new = restart(s, mesh.cauchy, lead, MARGINS[0], mesh.options)
+    new = restart(s, mesh.cauchy, lead, RESTART.margins[0], mesh.options)
 
     def climb(new: Equilibrium) -> tuple[RowStates, Flags]:
         made = RowStates.of(mesh, new, s, "restart", strain_is_unique(mesh.cauchy, new, s))
-        return made, _missing_work(made, known) <= GAIN
+        return made, _missing_work(made, known) <= SEARCH.gain
 
     made, climbs = climb(new)
     both, first, reached = Beside(), dict[int, RowStates](), known.take(np.zeros(0, dtype=int))
@@ -175,7 +184,7 @@ def _solve_from_rivals(
     if len(slow):
         new = new.put(slow, restart_patiently(s[slow], mesh.cauchy, lead.take(slow), mesh.options))
         made, climbs = climb(new)
-    fresh = np.flatnonzero(np.abs(made.E - rows.E).max(axis=1) > MOVED)
+    fresh = np.flatnonzero(np.abs(made.E - rows.E).max(axis=1) > MIXTURE.moved)
     waiting = rows.led(lead.put(fresh, new.pose.take(fresh)), S, mesh)
     left = np.flatnonzero(~climbs)
     made = made.put(left, waiting.take(left))
@@ -192,7 +201,7 @@ def best_mixture(s: Array, E: Array, mesh: LoadedCell) -> tuple[list[int], Array
     tried twice. The mixture of least gain if none answers.
     """
     chosen, answers, visited, rival = list[int](), [], set[frozenset[int]](), int(np.argmax((s * WEIGHT) @ E.T))
-    for _ in range(MIXTURE_STEPS):
+    for _ in range(MIXTURE.mixture_steps):
         tried = []
         for some in [kept for size in range(3) for kept in combinations(chosen, size)]:
             members = [rival, *some]
@@ -206,7 +215,7 @@ def best_mixture(s: Array, E: Array, mesh: LoadedCell) -> tuple[list[int], Array
             break
         gain, chosen, S, rival = min(tried, key=itemgetter(0))
         answers.append((gain, chosen, S))
-        if gain <= GAIN:
+        if gain <= SEARCH.gain:
             break
         visited.add(frozenset(chosen))
     return min(answers, key=itemgetter(0))[1:]
@@ -219,10 +228,10 @@ def equal_shares(s: Array, E: Array, mesh: LoadedCell) -> Array | None:
     w, loads = np.full(k, 1.0 / k), np.tile(s, (k, 1))
     if k == 1 or is_repeated(E).any():
         return w if k == 1 else None
-    for _ in range(SHARE_STEPS):
-        near = w + PART * np.column_stack([-np.sign(np.arange(k)), np.eye(k)[:, 1:]])
+    for _ in range(MIXTURE.share_steps):
+        near = w + MIXTURE.part * np.column_stack([-np.sign(np.arange(k)), np.eye(k)[:, 1:]])
         short = (mesh.conjugate(near @ E, loads) * WEIGHT) @ (E[1:] - E[0]).T
-        step = np.linalg.lstsq((short[1:] - short[0]).T / PART, -short[0], rcond=None)[0]
+        step = np.linalg.lstsq((short[1:] - short[0]).T / MIXTURE.part, -short[0], rcond=None)[0]
         step = np.append(-step.sum(), step)
         if np.abs(step).max() < 1e-12:
             return w
@@ -239,7 +248,7 @@ def mixed_load(s: Array, E: Array, shares: Array, mesh: LoadedCell) -> Array:
 
 def is_repeated(E: Array) -> Flags:
     """Which of the strains E (m, 3) are those of an earlier one, (m,)."""
-    return np.array([bool((np.abs(E[:k] - E[k]).max(axis=1) < MOVED).any()) for k in range(len(E))])
+    return np.array([bool((np.abs(E[:k] - E[k]).max(axis=1) < MIXTURE.moved).any()) for k in range(len(E))])
 
 
 def balance_works(
@@ -255,15 +264,15 @@ def balance_works(
     found: Equilibrium | None = None
     before: tuple[Array, Array] | None = None
     reached, S = start, np.zeros(3)
-    for left in reversed(range(BALANCE_STEPS + 1)):
+    for left in reversed(range(MIXTURE.balance_steps + 1)):
         if (own := ~is_repeated(start.E)).sum() > 1:
             start, found = start.take(own), found and found.take(own)
         shares = equal_shares(s, start.E, mesh)
         if shares is None:
             break
         to = mixed_load(s, start.E, shares, mesh)
-        way, is_equal = to - S, np.ptp(start.E @ (S * WEIGHT)) <= WORK_TOLERANCE
-        if found and is_equal and (not left or np.abs(way).max() <= LOAD_TOLERANCE):
+        way, is_equal = to - S, np.ptp(start.E @ (S * WEIGHT)) <= MIXTURE.work_tolerance
+        if found and is_equal and (not left or np.abs(way).max() <= MIXTURE.load_tolerance):
             order = np.argsort(-shares)
             return (_under_own_loads(found.take(order), S, mesh), shares[order], S), reached
         if not left:
@@ -272,7 +281,7 @@ def balance_works(
         turn = way - back  # the S that the states lead to depends on S: a secant step
         before, S = (to, way), to - float(way @ turn) / max(float(turn @ turn), 1e-300) * (to - old)
         loads, here = np.tile(S, (len(shares), 1)), start.pose
-        for margin in MARGINS:
+        for margin in RESTART.margins:
             new = restart_patiently(loads, mesh.dead, here, mesh.options, margin)
             start = KnownStates(new.pose, loads, strain_of(new.pose, mesh.sides))
             if equal_shares(s, start.E, mesh) is not None:
