@@ -6,6 +6,8 @@ CalculiX hands them to materials named ABAQUSNL...: logarithmic strain, stress a
 rotation; across the thickness a stiffness of its own, which the plane does not feel.
 PROPS(1) is the nominal thickness (mm) by which line loads (N/mm) are divided; PROPS(2), if given, scales the stiffness;
 PROPS(3) is a stiffness (N/mm) of slack mesh too in the first step, a hundredth of it in each further one.
+The same source holds UMAT_USER, CalculiX's own interface for materials USER..., for whole sheets from a flat start
+(`macro_fem deck`). Its locking surface is rounded by 3 % of strain, its kink smooth within 1 %.
 `umat.f` beside this module is its source with @names@ for what a law fills in. Its iteration is that of
 `homogenize.laws.geometry`, one point at a time. The stiffness is the law's constant one;
 elastic curtains use that of each direction (`homogenize.elastic_law`).

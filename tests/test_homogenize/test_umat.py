@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from homogenize import diagonal_net
-from homogenize.export import umat_source
+from homogenize.export import even_law, umat_source
 from homogenize.export.umat import data_statements
 from homogenize.fitting import outer_law, refined_half_spaces
 from homogenize.laws import polyhedral_law
@@ -31,6 +31,21 @@ DRIVER = """\
      1 PROPS,1,V,W,PN,Z,W,F,1,1,1,1,1,1)
    10 WRITE(*,'(14ES25.16)') S,((D(K,COUNT_COL),COUNT_COL=1,3),K=1,3),SSE,PN
       END
+"""
+USER_DRIVER = """\
+program driver
+  implicit none
+  double precision props(2), e(6), s(6), c(21), z(100), pn
+  integer i, n, k(10)
+  z = 0.0d0; k = 0; props = (/ 10.0d0, 0.02d0 /)
+  read(*,*) n
+  do i = 1, n
+    read(*,*) e
+    call umat_user('RINGS', 1, 1, 0, props, e, z, z, z, 1.0d0, z, 1.0d0, k, 0.0d0, 1.0d0, 0.4d0, 0.6d0, 0, 0, k, 0, &
+      z, z, s, c, 0, z, z, pn, k)
+    write(*, '(27es25.16)') s, c
+  end do
+end program
 """
 STIFFNESS = np.array([[900.0, 80.0, 200.0], [40.0, 250.0 * 2.0, 15.0], [200.0, 30.0, 600.0]])
 
@@ -81,6 +96,36 @@ def test_compiled_material_gives_our_numbers(tmp_path, ellipsoid):
     error = np.abs(out[:, 3:12].reshape(-1, 3, 3) - jaumann_tangent(law, F) / thickness).max(axis=(1, 2))
     assert (energy > 0.0).sum() > 100
     assert np.quantile(error, 0.97) < 1e-5 * np.abs(out[:, 3:12]).max()  # the rest straddles a face of the normal fan
+
+
+@pytest.mark.skipif(shutil.which("gfortran") is None, reason="gfortran is not installed")
+def test_material_of_whole_sheets_locks_where_the_law_does_and_has_its_own_tangent(tmp_path, ellipsoid):
+    law = even_law(polyhedral_law(*refined_half_spaces(rows_of(ellipsoid, disc_grid(5, 20)))), np.eye(3))
+    (tmp_path / "umat.f").write_text(umat_source(law, "test"))
+    (tmp_path / "driver.f90").write_text(USER_DRIVER)
+    command = "gfortran -O1 -std=legacy -w -ffree-line-length-none driver.f90 umat.f -o driver"
+    subprocess.run(command.split(), cwd=tmp_path, check=True, capture_output=True, text=True)
+    E = np.random.default_rng(5).normal(scale=0.4, size=(200, 3))  # 11, 22, 12
+    step = 1e-6 * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
+    lines = [f"{x} {y} 0 {z} 0 0" for x, y, z in (E[:, None] + step).reshape(-1, 3)]
+    text = "\n".join([str(len(lines)), *lines])
+    run = subprocess.run([tmp_path / "driver"], input=text, check=True, capture_output=True, text=True)
+    out = np.array([line.split() for line in run.stdout.splitlines()], float).reshape(200, 7, 27)
+    thickness, line_load = 10.0, 0.02
+    S, C = thickness * out[:, 0, [0, 3, 1]], out[:, 0, 6:]
+    slack, stiffness = 1.5 * 0.0033 * line_load, 1500.0 * line_load
+    pulled = S - slack * np.array([1.0, 0.0, 1.0])
+    is_taut = np.abs(pulled).max(axis=1) > 0.02 * stiffness
+    locked = E[:, [0, 2, 1]] - pulled / stiffness
+    assert is_taut.sum() > 50
+    beyond = law.cut(locked[is_taut]).violation
+    assert beyond.max() < 1e-12
+    assert beyond.min() > -0.01  # edges are round, by a radius of 0.03
+    assert abs(np.median(beyond)) < 1e-12
+    tangent = (out[:, 1:4, :6] - out[:, 4:, :6])[:, :, [0, 1, 3]].swapaxes(1, 2) / 2e-6
+    given = C[:, [[0, 1, 6], [1, 2, 7], [6, 7, 9]]] * [1.0, 1.0, 2.0]
+    error = np.abs(tangent - given).max(axis=(1, 2))
+    assert np.quantile(error, 0.95) < 1e-5 * np.abs(given).max()
 
 
 def test_source_keeps_to_fixed_form_and_to_the_digits(ellipsoid):
