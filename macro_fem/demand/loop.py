@@ -22,7 +22,7 @@ from macro_fem.bounds.interval import CurtainBounds, Loads, admissible_problem, 
 from macro_fem.curtain import CurtainSolution, solve_problem
 from macro_fem.demand.directions import between, first_directions, rounded, widest
 from macro_fem.demand.rings import ACCURACY, GAIN, Rings
-from macro_fem.output.strength import critical_load
+from macro_fem.judged import critical_load
 from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.scene import Scene
 from rve import Cell, solve_table, with_rings

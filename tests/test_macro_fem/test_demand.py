@@ -21,7 +21,7 @@ from macro_fem.demand import rings as rings_module
 from macro_fem.demand.directions import first_directions, widest
 from macro_fem.demand.loop import solve_on_demand, strength_of_rows, with_strength
 from macro_fem.demand.rings import Rings, contradictions, question
-from macro_fem.output.strength import MEANING, summary
+from macro_fem.judged import MEANING, judge_strength
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.solvers.cones import least_slack
 from rve import WEAVES, Cell
@@ -389,7 +389,7 @@ def test_the_factor_on_demand_is_that_of_the_finest_law():
     assert told["safety_factor"] > 0.0
     problem, strength = solution.problem, default_law().strength
     own = replace(problem.law.own, strength=strength)
-    same = summary(replace(solution, problem=replace(problem, law=replace(problem.law, own=own))))
+    same = judge_strength(replace(solution, problem=replace(problem, law=replace(problem.law, own=own))))
     used = "safety_factor", "utilisation_of_averages_max", "utilisation_of_point_forces_max"
     for key in used:
         assert told[key] == pytest.approx(same[key], rel=strength.error.first_yield_max)
@@ -408,6 +408,6 @@ def test_other_weaves_and_radii_go_from_rings_to_curtain(cell):
     low, high = interval(found)
     assert low < high
     assert found.law.rows.is_mirrored == cell.weave.is_mirrored
-    told = summary(with_strength(found).level.solution)
+    told = judge_strength(with_strength(found).level.solution)
     assert told["strength_note"] == MEANING
     assert told["safety_factor"] > 0.0
