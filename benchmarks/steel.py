@@ -16,7 +16,7 @@ from homogenize.laws import PolyhedralLaw, constant_compliance
 from macro_fem import Scene, load_scene, solve
 from macro_fem.curtain import CurtainSolution, make_problem, solve_problem
 from macro_fem.fem import signed_areas
-from macro_fem.output.strength import summary, utilisation
+from macro_fem.judged import judge_strength, utilisation
 from macro_fem.scene.meshing.mesh import CurtainMesh, refine
 from rve.common import trace
 
@@ -99,7 +99,7 @@ def refined(scene: Scene, mesh: CurtainMesh, side: float, place: Any = None) -> 
     law = with_material(default_law(), dict(scene.material), scene.source)
     while True:
         found = solve_problem(make_problem(scene, law, mesh))
-        told, used = summary(found), utilisation(found)
+        told, used = judge_strength(found), utilisation(found)
         assert used is not None
         at = np.array(told["utilisation_max_at_mm"] if place is None else place)
         distance = np.linalg.norm(mesh.mesh.p - at[:, None], axis=0)[mesh.mesh.t]
@@ -122,13 +122,13 @@ def utilisation_row(name: str) -> Row:
     own = solved(name, 1.0)
     cells = float(np.sqrt(own.problem.disc.cell_area.mean()))
     finest: list[CurtainSolution] = []
-    mesh, known = solved(name, COARSE).problem.mesh, summary(own)
+    mesh, known = solved(name, COARSE).problem.mesh, judge_strength(own)
     # The force at a hook hardly depends on the mesh: the worst hook stays the worst one.
     is_force = known["utilisation_of_point_forces_max"] > known["utilisation_of_averages_max"]
     for side in SIDES:
         finest.append(refined(scene, mesh, side, known["utilisation_max_at_mm"] if is_force else None))
         mesh = finest[-1].problem.mesh
-    values = [summary(one) for one in finest]
+    values = [judge_strength(one) for one in finest]
     used = [float(one["utilisation_of_averages_max"]) for one in values]
     pointwise = [one["utilisation_pointwise_max"] for one in values]
     first, last = used[-2] - used[-3], used[-1] - used[-2]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from homogenize import MembraneLaw, default_law, load_law
-from macro_fem.output.forces import support_rows
+from macro_fem.judged import support_rows
 from macro_fem.output.pictures import Drawings, Pictures, draw_all
 from macro_fem.scene.reading import load_scene
 from macro_fem.scene.scene import Scene

@@ -24,7 +24,7 @@ from homogenize.fitting import cell_of, interval_of_table, law_interval, rows_fr
 from homogenize.laws import LockedRows, Strength, strength_of_table, with_mirror
 from macro_fem.bounds.interval import CurtainBounds, admissible_problem, bound, loads_of, mark, with_cones_of
 from macro_fem.curtain import CurtainSolution, solve_problem
-from macro_fem.output.strength import critical_load
+from macro_fem.judged import critical_load
 from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.scene import Scene
 from rve import Cell, StrainTable, grid, read_table, reference_cell, solve_table, with_rings, write_table

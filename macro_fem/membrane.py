@@ -14,8 +14,8 @@ import numpy as np
 from macro_fem.answer import Solution
 from macro_fem.bounds.interval import CurtainBounds
 from macro_fem.curtain import CurtainSolution, forces_note, with_forces
+from macro_fem.judged import change_of_forces, envelope, governing, obstacle_summary, support_forces
 from macro_fem.output import files
-from macro_fem.output.forces import change_of_forces, obstacle_summary, support_forces
 from macro_fem.output.pictures import (
     Drawings,
     Pictures,
@@ -24,7 +24,6 @@ from macro_fem.output.pictures import (
     plot_utilisation,
     write_curtain_page,
 )
-from macro_fem.output.told import envelope, governing
 from macro_fem.rings.curtain import curtain_of, read_told
 from macro_fem.rings.field import RingField
 from macro_fem.rings.localize import localize

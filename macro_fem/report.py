@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from macro_fem.curtain import CurtainSolution
-from macro_fem.output.forces import first_of_largest, spot_loads
-from macro_fem.output.forces import loads_in_words as _loads
+from macro_fem.judged import first_of_largest, links, spot_loads
 from macro_fem.output.pictures import plot_line_loads, plot_utilisation
-from macro_fem.output.told import combination_lines, components, lean_note, links, order_lines, verdict
+from macro_fem.output.told import combination_lines, components, lean_note, loads_in_words, order_lines, verdict
 from rve.common import atomic_path, checksum, digits
 from rve.common.drawing.plane import BLUE, VERMILION, as_typed, new_figure
 from rve.common.optional import Axes, Figure
@@ -67,7 +66,7 @@ def write_report(
     order = [mesh, *more, rings, f"mean height {summary['mean_height_mm']:.1f} mm"]
     _section(first, 0.18, "What to order, and how it hangs", _wrapped(order))
     pages, y = [first], FOOT
-    loads = "Loads, at x and y in the flat sheet, mm", [_loads(solution.problem.scene)], False
+    loads = "Loads, at x and y in the flat sheet, mm", [loads_in_words(solution.problem.scene)], False
     for head, lines, is_table in (loads, *_sections(summary, filter(None, inputs))):
         left = _wrapped(lines, is_table)
         while left:

@@ -20,10 +20,10 @@ from macro_fem.curtain import (
 from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
+from macro_fem.judged import utilisation
 from macro_fem.motion.pace import Failed, Frame, Mover
 from macro_fem.motion.stage import Contacts, let_go, masses_of, scene_at, step_of, weights_of, winds_at
 from macro_fem.motion.step import Account, Moment, end_of, solve_step, stored_energy
-from macro_fem.output import strength
 from macro_fem.output.files import curtain_mesh
 from macro_fem.output.images import Draw
 from macro_fem.output.space_view import views
@@ -145,7 +145,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
     def peaks(self, frame: MotionFrame) -> list[float]:
         """The largest principal line load, N/mm, and utilisation of its rings, nan where it is not known."""
         solution = self.as_solution(frame)
-        used = strength.utilisation(solution)
+        used = utilisation(solution)
         load = float(solution.principal()[0].max(initial=0.0))
         return [load, np.nan if used is None else float(used.max(initial=0.0))]
 

@@ -30,10 +30,10 @@ from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded, recov
 from macro_fem.fem.discretization import ELEMENTS
 from macro_fem.job import solve_membrane
 from macro_fem.motion.stage import TONNE, masses_of, mesh_masses, pushed_points, scene_at
-from macro_fem.output.forces import loads_in_words
 from macro_fem.output.images import save_picture
 from macro_fem.output.pictures import Pictures, draw_all
 from macro_fem.output.space_view import add_supports
+from macro_fem.output.told import loads_in_words
 from macro_fem.scene.supports import build_supports
 from macro_fem.scene.tables import Bar, Wind
 from rve.common import Array, InputError, NotConverged, job, versions

@@ -1,1 +1,1 @@
-"""Output of a solved curtain: files, pictures, line loads, strength, and what is said of it."""
+"""Output of a solved curtain: files, pictures, and what is said of it."""

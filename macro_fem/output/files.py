@@ -9,9 +9,7 @@ import numpy as np
 from macro_fem.bounds.interval import CurtainBounds
 from macro_fem.curtain import CurtainProblem, CurtainSolution, forces_by, forces_note, wind_summary
 from macro_fem.fem.cells import counterclockwise, padded
-from macro_fem.output import line_load, strength
-from macro_fem.output.forces import support_forces
-from macro_fem.output.told import links
+from macro_fem.judged import judge_line_loads, judge_strength, links, support_forces, utilisation
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.tables import Bar, LiveLoad
 from rve.common import Array, versions
@@ -27,7 +25,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
     area, x = disc.cell_area, solution.x
     parts = np.bincount(solution.state(), weights=area, minlength=3) / area.sum()
     per_area = areal_mass(problem.scene, problem.law.cell)
-    told, forces, in_space = strength.summary(solution), support_forces(solution), {}
+    told, forces, in_space = judge_strength(solution), support_forces(solution), {}
     least = next(iter(links(told | {"support_forces": forces})), None)  # of what is known and loaded
     if problem.fem.d == 3:
         in_space = {
@@ -44,7 +42,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         **in_space,
         "lean_mm": solution.lean(),
         "max_displacement_mm": float(np.linalg.norm(solution.displacement, axis=1).max()),
-        **line_load.summary(solution),
+        **judge_line_loads(solution),
         **told,
         "weakest": least and least.name,
         "weakest_factor": least and least.factor,
@@ -163,7 +161,7 @@ def curtain_mesh(solution: CurtainSolution, extra: dict[str, Array] | None = Non
 
     problem, mesh, disc = solution.problem, solution.problem.mesh.mesh, solution.problem.disc
     values, direction = solution.principal()
-    used = strength.utilisation(solution)
+    used = utilisation(solution)
     data = {
         "E_11_12_22": disc.cell_mean(solution.E),
         "S_11_12_22_N_per_mm": disc.cell_mean(solution.S),

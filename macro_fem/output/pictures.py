@@ -10,8 +10,8 @@ import numpy as np
 
 from macro_fem.curtain import CurtainSolution
 from macro_fem.fem.cells import mean_at_corners
-from macro_fem.output import space_view, strength
-from macro_fem.output.forces import FORCES
+from macro_fem.judged import FORCES, judged_by, rings_at_points, utilisation
+from macro_fem.output import space_view
 from macro_fem.output.images import in_turn, save_animation, save_panels
 from macro_fem.output.page import check_page, write_page
 from macro_fem.scene.scene import Scene
@@ -150,10 +150,10 @@ def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
 def plot_utilisation(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
     """The deformed curtain coloured by the utilisation of its rings, 1 where they yield, with circles for the rings at
     hooks and other held and loaded points; InputError if not known."""
-    used = strength.utilisation(solution)
+    used = utilisation(solution)
     if used is None:
-        raise InputError(f"utilisation: {strength.judged_by(solution.problem.law)}")
-    at, borne = strength.rings_at_points(solution)
+        raise InputError(f"utilisation: {judged_by(solution.problem.law)}")
+    at, borne = rings_at_points(solution)
     scale = Scale.of(used, "utilisation of the rings (1: first yield)")
     if (most := float(borne.max(initial=0.0))) > scale.top:
         scale = replace(scale, top=round_top(most, most), largest=max(scale.largest, most))

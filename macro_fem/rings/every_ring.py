@@ -10,8 +10,8 @@ import numpy as np
 from homogenize import MembraneLaw
 from macro_fem.answer import Solution
 from macro_fem.curtain import CurtainSolution
+from macro_fem.judged import own_forces, support_forces
 from macro_fem.output.files import rings as rings_of
-from macro_fem.output.forces import own_forces, support_forces
 from macro_fem.output.page import write_page
 from macro_fem.output.pictures import Drawings, Pictures
 from macro_fem.output.told import components

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import rve
 from macro_fem.fem.cells import mean_at_corners, padded, signed_areas
-from macro_fem.output.line_load import Nearby
+from macro_fem.judged import Nearby
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites, curtain_file, read_curtain
 from macro_fem.rings.field import RECORD, RingField, WorstCell

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from macro_fem.output.strength import critical_load
 
 from homogenize import default_law, read_law_interval
 from homogenize.fitting import law_interval
@@ -12,7 +13,7 @@ from macro_fem import OnDemand, demand, read_scene, solve
 from macro_fem.bounds.interval import admissible_problem, bound, loads_of
 from macro_fem.curtain import make_problem, solve_problem
 from macro_fem.demand import Rings, distance, solve_on_demand
-from macro_fem.output.strength import MEANING, critical_load, summary
+from macro_fem.judged import MEANING, judge_strength
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.solvers.cones import least_slack
 from rve import WEAVES, Cell, solve_table
@@ -346,7 +347,7 @@ def test_the_factor_on_demand_is_that_of_the_finest_law():
     assert told["safety_factor"] > 0.0
     problem, strength = solution.problem, default_law().strength
     own = replace(problem.law.own, strength=strength)
-    same = summary(replace(solution, problem=replace(problem, law=replace(problem.law, own=own))))
+    same = judge_strength(replace(solution, problem=replace(problem, law=replace(problem.law, own=own))))
     used = "safety_factor", "utilisation_of_averages_max", "utilisation_of_point_forces_max"
     for key in used:
         assert told[key] == pytest.approx(same[key], rel=strength.error.first_yield_max)
@@ -369,6 +370,6 @@ def test_other_weaves_and_radii_go_from_rings_to_curtain(cell):
     low, high = interval(found)
     assert low < high
     assert found.rings.law.rows.is_mirrored == cell.weave.is_mirrored
-    told = summary(found.level.solution)
+    told = judge_strength(found.level.solution)
     assert told["strength_note"] == MEANING
     assert told["safety_factor"] > 0.0

@@ -6,7 +6,7 @@ import pytest
 from homogenize import default_law
 from macro_fem import read_scene, solve
 from macro_fem.curtain import ShapeOptions, solve_problem, solve_shape
-from macro_fem.output.forces import obstacle_summary, pushes_of
+from macro_fem.judged import obstacle_summary, pushes_of
 from macro_fem.scene.obstacles import Obstacle, PlacedObstacle
 from macro_fem.scene.reading import read_records
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel

@@ -13,9 +13,8 @@ import macro_fem
 from homogenize import fit
 from macro_fem import Bar, Combination, Corners, EdgeLoad, Hooks, Load, Mesh, Outline, Rectangle, Scene, Wind, solve
 from macro_fem.cli import main
-from macro_fem.output.forces import loads_in_words
-from macro_fem.output.told import envelope as envelope_of
-from macro_fem.output.told import governing_line, lean_note
+from macro_fem.judged import envelope as envelope_of
+from macro_fem.output.told import governing_line, lean_note, loads_in_words
 from macro_fem.report import _sections, write_report
 from macro_fem.size import Range, find_size, search
 from macro_fem.trials import Sought, answer_of

@@ -12,7 +12,7 @@ import pytest
 from homogenize import default_law
 from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
-from macro_fem.output.forces import support_forces
+from macro_fem.judged import support_forces
 from rve import InputError
 from rve.common import WEIGHT
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel

@@ -8,9 +8,8 @@ import pytest
 
 from homogenize import default_law, fit, ring_net, with_material
 from macro_fem import largest_that_holds, read_scene, solve
+from macro_fem.judged import EXTRAPOLATED, FINE, TOO_COARSE, critical_load, judge_strength, nearest, utilisation
 from macro_fem.output.files import curtain_mesh, summarize
-from macro_fem.output.line_load import FINE
-from macro_fem.output.strength import EXTRAPOLATED, TOO_COARSE, critical_load, nearest, summary, utilisation
 from macro_fem.output.told import combination_lines, holds_line
 from macro_fem.scene.meshing.mesh_files import read_mesh_file
 from rve import Cell, InputError, named_material, pulled_ring, read_table, solve_table, with_rings
@@ -60,7 +59,7 @@ def test_a_strip_yields_at_the_line_load_of_its_table_row(weave, beta):
     stretch = np.sqrt(1.0 + 2.0 * table.E[row, 2 if beta else 0])
     S = MASS * GRAVITY / WIDTH / stretch
     solution = hung(weave=weave)
-    told = summary(solution)
+    told = judge_strength(solution)
     assert solution.status == "converged"
     assert told["utilisation_max"] == pytest.approx(S * table.strength[row, 0] / 235.0, rel=1e-5)
     assert told["collapse_factor"] == pytest.approx(235.0 / (S * table.strength[row, 1]), rel=1e-5)
@@ -91,7 +90,7 @@ def corner_hung(side, cells):
 
 
 def test_the_average_over_a_cell_converges_at_a_hook_where_the_pointwise_value_grows():
-    coarse, fine = (summary(corner_hung(40.0, cells)) for cells in (6, 12))
+    coarse, fine = (judge_strength(corner_hung(40.0, cells)) for cells in (6, 12))
     assert fine["utilisation_pointwise_max"] > 1.5 * coarse["utilisation_pointwise_max"]
     assert fine["utilisation_of_averages_max"] == pytest.approx(coarse["utilisation_of_averages_max"], rel=0.25)
     assert fine["utilisation_max"] < 0.7 * fine["utilisation_pointwise_max"]
@@ -103,7 +102,7 @@ def test_the_average_over_a_cell_converges_at_a_hook_where_the_pointwise_value_g
 def test_a_coarse_mesh_tells_the_utilisation_of_a_fine_one_from_the_force_at_the_corners():
     """Averages of the coarse mesh are low in proportion to its cells; the force over the width of an average is not."""
     coarse, fine = corner_hung(60.0, 4), corner_hung(60.0, 24)
-    low, high = summary(coarse), summary(fine)
+    low, high = judge_strength(coarse), judge_strength(fine)
     assert low["utilisation_of_averages_max"] < 0.7 * high["utilisation_of_averages_max"]
     assert high["utilisation_of_point_forces_max"] == 0.0  # its cells resolve the average
     assert low["utilisation_max"] == low["utilisation_of_point_forces_max"]
@@ -122,7 +121,7 @@ def test_a_force_on_one_column_of_rings_is_that_force_over_the_width_of_a_disk()
     diameter, and S is the force over this width and over the stretch at which rings lock along the columns."""
     load = {"point": {"at": [120.0, 120.0], "force": [0.0, -50.0], "rings_per_hook": 1000}}
     tables, law = sheet(240.0, 240.0, 6, {"kind": "top"}, load=load, areal_mass=0.0), default_law()
-    told = summary(solve_scene(read_scene(tables), law))
+    told = judge_strength(solve_scene(read_scene(tables), law))
     area = law.cell.b_x_mm * law.cell.b_y_mm
     up = np.array([[0.0, 0.0, 1.0]])
     S = 50.0 / (0.5 * np.sqrt(np.pi * area)) / np.sqrt(1.0 + 2.0 * law.support(up)[0])
@@ -222,7 +221,7 @@ def square(scale=1.0, law=None, **curtain):
     side = {"width": 60.0 * scale, "height": 60.0 * scale, "areal_mass": 2.785}
     mesh = {"cells": 6, "pattern": "crossed"}
     tables = {"curtain": side | curtain, "support": MESH_ALONE, "mesh": mesh}
-    return summary(solve_scene(read_scene(tables), default_law() if law is None else law))
+    return judge_strength(solve_scene(read_scene(tables), default_law() if law is None else law))
 
 
 def test_mirror_images_and_quarter_turns_bear_the_same():
@@ -267,7 +266,7 @@ def test_ten_times_larger_rings_in_a_ten_times_larger_curtain_of_the_same_mass_b
 
 def test_the_largest_average_is_that_of_all_corners_of_the_mesh():
     """The search stops early; here every corner is visited."""
-    from macro_fem.output.line_load import Nearby
+    from macro_fem.judged import Nearby
 
     tables = {"curtain": {"width": 60.0, "height": 60.0}, "support": {"kind": "corners"}, "mesh": {"cells": 8}}
     solution = solve_scene(read_scene(tables), default_law())
@@ -275,7 +274,7 @@ def test_the_largest_average_is_that_of_all_corners_of_the_mesh():
     mesh, S = solution.problem.mesh.mesh, solution.recovered(solution.S)
     near = Nearby(mesh.p.T, mesh.t.T, S, np.ones(len(S)), law.cell.b_x_mm * law.cell.b_y_mm)
     means = np.array([near.mean(x) for x in mesh.p.T])
-    told = summary(solution)
+    told = judge_strength(solution)
     assert told["utilisation_of_averages_max"] == pytest.approx(law.strength.utilisation(means).max(), rel=1e-12)
 
 
@@ -283,7 +282,7 @@ def test_the_vtu_has_the_utilisation_of_every_cell(strip, tmp_path):
     write_mesh_file(tmp_path / "curtain.vtu", curtain_mesh(strip))
     field = read_mesh_file(tmp_path / "curtain.vtu").cell_data["utilisation"][0]
     np.testing.assert_allclose(field, utilisation(strip), rtol=1e-12)
-    assert field.max() == pytest.approx(summary(strip)["utilisation_pointwise_max"], rel=1e-12)
+    assert field.max() == pytest.approx(judge_strength(strip)["utilisation_pointwise_max"], rel=1e-12)
 
 
 def test_laws_that_do_not_know_say_so(tmp_path):

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from macro_fem.curtain import CurtainSolution
 from macro_fem.fem.cells import signed_areas
-from macro_fem.output.forces import PointForce
+from macro_fem.judged.forces import PointForce
 from macro_fem.scene.loads import disk_areas
 from rve.common import Array, Index
 
@@ -43,7 +43,7 @@ class Extreme(NamedTuple):
     force: PointForce | None = None
 
 
-def summary(solution: CurtainSolution) -> dict[str, Any]:
+def judge_line_loads(solution: CurtainSolution) -> dict[str, Any]:
     """The largest line loads for summary.json; averages are None for a law that has no cell."""
     cell, peak = solution.problem.law.cell, largest(solution)
     area = None if cell is None else cell.b_x_mm * cell.b_y_mm

@@ -24,8 +24,8 @@ import shapely
 from homogenize.laws import Strength, strength_of_law
 from macro_fem.curtain import CurtainSolution
 from macro_fem.fem.hung_law import HungLaw, largest_stretch
-from macro_fem.output.forces import TOUCHES, PointForce, first_of_largest, point_forces, pushes_of, spot_loads
-from macro_fem.output.line_load import FINE, Extreme, Nearby
+from macro_fem.judged.forces import TOUCHES, PointForce, first_of_largest, point_forces, pushes_of, spot_loads
+from macro_fem.judged.line_load import FINE, Extreme, Nearby
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import Bar, EdgeLoad
 from rve import pulled_ring
@@ -71,7 +71,7 @@ MEANING = (
 )
 
 
-def summary(solution: CurtainSolution) -> dict[str, Any]:
+def judge_strength(solution: CurtainSolution) -> dict[str, Any]:
     """Utilisation, factors, place and material for summary.json; None, with a reason, where they are not known."""
     law = solution.problem.law
     known, by = strength_of_law(law.own), judged_by(law)

@@ -13,7 +13,7 @@ from macro_fem.fem.cells import padded
 from macro_fem.scene.loads import wind_per_area
 from macro_fem.scene.meshing.mesh import point_node
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind, in_3d
+from macro_fem.scene.tables import PatchLoad, PointLoad, Wind, in_3d
 from rve.common import Array, digits
 
 TOUCHES = 1e-6
@@ -240,20 +240,3 @@ def halved(x: Array, nodes: np.ndarray, most: int) -> list[np.ndarray]:
     order = nodes[np.argsort(x[nodes, np.ptp(x[nodes], axis=0).argmax()], kind="stable")]
     first, half = most // 2, len(order) // 2
     return [*halved(x, order[:half], first), *halved(x, order[half:], most - first)]
-
-
-def loads_in_words(scene: Scene) -> str:
-    """The loads of a scene in words."""
-    loads = ["weight"] if any(scene.load.acceleration) else []
-    loads += [f"bar of {one.mass:g} kg on {one.edge}" for one in scene.of(Bar)]
-    for one in scene.of(Wind):
-        strength = f"{one.pressure:g} N/m2" if one.speed is None else f"{one.speed:g} m/s"
-        loads.append(f"wind of {strength} along {_vector(one.direction)}{' that follows the surface' * one.follows}")
-    for _, spot in spot_loads(scene):
-        spread = f" (radius {spot.radius:g} mm)" if isinstance(spot, PatchLoad) else ""
-        loads.append(f"{_vector(spot.force)} N at {_vector(spot.at)}{spread}")
-    return ", ".join([*loads, *(f"{_vector(one.force)} N/mm on {one.edge}" for one in scene.of(EdgeLoad))])
-
-
-def _vector(parts: Iterable[float]) -> str:
-    return f"({', '.join(f'{part:g}' for part in parts)})"

@@ -1,0 +1,6 @@
+"""Mechanics of an answer, above the curtain and below words and pictures: forces, line loads, strength, the verdict."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""The names for other folders, listed in `__init__.pyi`: their modules are imported when they are first used."""
