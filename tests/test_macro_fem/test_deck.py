@@ -83,9 +83,11 @@ def test_what_a_deck_cannot_hold_is_refused(more, message):
         deck_problem(read_scene(SQUARE | more), LAW)
 
 
-@pytest.mark.slow
 @pytest.mark.skipif("CALCULIX" not in os.environ, reason="CALCULIX is not the folder made by .ci/calculix")
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.release if name == "space sail" else pytest.mark.slow) for name in SCENES],
+)
 def test_calculix_finds_our_curtain_from_a_flat_start(name, tmp_path):
     (tmp_path / "scene.toml").write_text(SCENES[name])
     found = run_deck(tmp_path / "scene.toml", None, tmp_path / "out")
