@@ -4,8 +4,10 @@ Scene `seed` is drawn from numpy's generator of that seed, so that it is the sam
 recomputed here from positions, stresses and forces.
 """
 
+import json
 import re
 
+import meshio
 import numpy as np
 import pytest
 
@@ -198,6 +200,75 @@ def test_300_random_scenes(first, fitted_law):
     outcomes = [check(seed, fitted_law) for seed in ALL[first : first + 50]]
     assert sum(one.startswith("none") for one in outcomes) <= UNSOLVED * len(outcomes), outcomes
     assert {"converged", "taut", "infeasible", "refused"} <= {*outcomes, "taut"}
+
+
+def twin_of(tables, p, t, kind, rng):
+    """Tables, nodes (n, 2) and triangles of a scene that is the same but for a mirror, its size or its numbers; that
+    size, and the signs of both axes."""
+    size, sign = (
+        rng.uniform(0.3, 5.0) if kind == "rescaled" else 1.0,
+        np.array([-1.0 if kind == "mirrored" else 1.0, 1.0]),
+    )
+    new = json.loads(json.dumps(tables))
+    if kind == "renumbered":
+        order = rng.permutation(len(p))
+        p, t = p[order], np.roll(np.argsort(order)[t][rng.permutation(len(t))], 1, axis=1)
+    if kind == "mirrored":
+        t, angle = t[:, ::-1], new["curtain"]["weave_angle"]
+        new["curtain"]["weave_angle"] = angle if isinstance(angle, str) else -angle
+    for item in new["support"]:
+        item |= {key: (size * sign * item[key]).tolist() for key in ("at", "move") if key in item}
+        item |= {"pitch": size * item["pitch"]} if "pitch" in item else {}
+        if kind == "mirrored" and item.get("edge") in ("left", "right"):
+            item["edge"] = {"left": "right", "right": "left"}[item["edge"]]
+    for name, item in new["load"].items():
+        if name in ("point", "patch", "edge"):  # forces grow with areas, those along an edge with lengths
+            item |= {"force": ((size if name == "edge" else size**2) * sign * item["force"]).tolist()}
+            item |= {"at": (size * sign * item["at"]).tolist()} if "at" in item else {}
+            item |= {"radius": size * item["radius"]} if name == "patch" else {}
+    if "bar" in new["load"]:
+        new["load"]["bar"]["mass"] *= size**2
+    return new, size * sign * p, t, size, sign
+
+
+def solved_from_file(tables, p, t, path):
+    """The curtain on triangles from a file; why, if it is refused."""
+    meshio.write(path, meshio.Mesh(np.column_stack([p, 0.0 * p[:, 0]]), [("triangle", t)]))
+    curtain = {"shape": "file", "file": path.name, "weave_angle": tables["curtain"]["weave_angle"]}
+    told = tables | {"curtain": curtain, "mesh": {"element": tables["mesh"]["element"]}}
+    try:
+        return solve_problem(posed(read_scene(told, path.with_suffix(".toml")), default_law()))
+    except InputError as error:
+        return str(error)
+
+
+@pytest.mark.parametrize("kind", ["mirrored", "renumbered", "rescaled"])
+@pytest.mark.parametrize("count", [6, pytest.param(170, marks=pytest.mark.release)])
+def test_twins_of_a_scene_agree(kind, count, tmp_path):
+    """Status, potential, mean height and forces of supports; elastic rings do not give alike at another size."""
+    for seed in range(count):
+        rng, tables = np.random.default_rng([seed, 6]), draw(seed)
+        tables["solver"] = {"kind": "elastic" if kind != "rescaled" and rng.random() < 0.5 else "rigid"}
+        try:
+            mesh = posed(read_scene(tables), default_law()).mesh.mesh
+        except InputError:
+            continue
+        p, t = mesh.p.T[: mesh.nvertices], mesh.t.T
+        new, p2, t2, size, sign = twin_of(tables, p, t, kind, rng)
+        one, other = (
+            solved_from_file(tables, p, t, tmp_path / "one.vtu"),
+            solved_from_file(new, p2, t2, tmp_path / "b.vtu"),
+        )
+        if isinstance(one, str) or isinstance(other, str):
+            assert isinstance(one, str) == isinstance(other, str), (seed, one, other)
+            continue
+        assert one.status == other.status, (seed, one.message, other.message)
+        if one.status in ("converged", "taut"):
+            total, length = scale_of(one)
+            assert abs(one.primal - other.primal / size**3) <= 3e-5 * (total or 1.0) * length, seed
+            assert abs(one.mean_height() - other.mean_height() / size) <= 1e-3 * length, seed
+            forces = [one.reactions.sum(axis=0), other.reactions.sum(axis=0) * sign / size**2]
+            assert np.abs(forces[0] - forces[1]).max() <= 1e-4 * (total or 1.0), seed
 
 
 def draw_sliding(seed):
