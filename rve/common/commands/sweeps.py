@@ -110,10 +110,11 @@ def sweep(
         futures = {workers.submit(run_item, replace(item, marks=out / MARKS)): item for item in left}
         for future in as_completed(futures):
             item = futures[future]
-            try:
-                how = future.result()
-            except Exception as error:
-                how = Ended(1, f"{LOST} ({type(error).__name__}: {' '.join(str(error).split())})")
+            error = future.exception()
+            if error is not None and not isinstance(error, Exception):
+                raise error
+            told = error and f"{LOST} ({type(error).__name__}: {' '.join(str(error).split())})"
+            how = Ended(1, told) if told else future.result()
             if not how.message and not item.record.exists():  # written to another machine's disk
                 how = Ended(1, f"{item.record} is not there; workers must see its folder under the same name")
             ended[item.name] = how
