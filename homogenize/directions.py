@@ -11,20 +11,29 @@ from scipy.spatial import ConvexHull, Delaunay, QhullError
 from rve.common import Array, Flags, InputError
 from rve.common.tensor import IDENTITY, disc, eigenvalues, mirror, trace
 
-SAME = 1e-9
-"""Loads in the disc closer than this are one load."""
-FLAT = 1e-12
-"""Twice the area in the disc below which a triangle holds no load."""
-FOLDS = 5
-"""Parts in which loads are left out, to learn how wrong what is known between the others is there."""
-RIM_STEP_DEG = 45.0
-"""Loads of rank one farther apart than this in the disc (half of it in space) leave the rim between them unknown."""
-ON_RIM = 1e-6
-"""Distance in the disc up to which loads are of rank one, or one load where rounding keeps them apart."""
-BEYOND = 1e-3
-"""Distance in the disc by which a load may lie beyond the hull and still count as one in it."""
-CHUNK = 500
-"""Loads looked up together: 15 MB for the triangles of 190 rows."""
+
+@dataclass(frozen=True)
+class DirectionOptions:
+    """Numbers of loads in the disc of directions."""
+
+    same: float = 1e-9
+    """Loads in the disc closer than this are one load."""
+    flat: float = 1e-12
+    """Twice the area in the disc below which a triangle holds no load."""
+    folds: int = 5
+    """Parts in which loads are left out, to learn how wrong what is known between the others is there."""
+    rim_step_deg: float = 45.0
+    """Loads of rank one farther apart than this in the disc (half of it in space) leave the rim between them
+    unknown."""
+    on_rim: float = 1e-6
+    """Distance in the disc up to which loads are of rank one, or one load where rounding keeps them apart."""
+    beyond: float = 1e-3
+    """Distance in the disc by which a load may lie beyond the hull and still count as one in it."""
+    chunk: int = 500
+    """Loads looked up together: 15 MB for the triangles of 190 rows."""
+
+
+DIRECTIONS = DirectionOptions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +66,7 @@ class Directions:
         if hull[:, 2].max() >= 0.0:
             raise InputError("strengths need loads on all sides of the equibiaxial one")
         sides = np.swapaxes(x[triangles[:, :2]] - x[triangles[:, 2:]], 1, 2)
-        good = np.abs(np.linalg.det(sides)) > FLAT
+        good = np.abs(np.linalg.det(sides)) > DIRECTIONS.flat
         triangles = triangles[good]
         two = np.linalg.inv(sides[good])
         slope = np.concatenate([two, -two.sum(axis=1, keepdims=True)], axis=1)
@@ -78,8 +87,8 @@ class Directions:
             x[:, 1] = np.abs(x[:, 1])
         x = x / np.maximum(self._reach(x).max(axis=1), 1.0)[:, None]
         rows, weights = np.empty((len(x), 3), dtype=np.intp), np.empty((len(x), 3))
-        for start in range(0, len(x), CHUNK):
-            part = slice(start, start + CHUNK)
+        for start in range(0, len(x), DIRECTIONS.chunk):
+            part = slice(start, start + DIRECTIONS.chunk)
             three = x[part, :1, None] * self.slope[0] + x[part, 1:, None] * self.slope[1] + self.level
             best = three.min(axis=1).argmax(axis=1)
             inside = np.maximum(np.take_along_axis(three, best[:, None, None], axis=2)[..., 0], 0.0)
@@ -105,21 +114,21 @@ def limits_of(S: Array, cauchy: Array) -> Array:
     x, s = disc(S), disc(cauchy / trace(cauchy)[:, None])
     hull, known = ConvexHull(x), []
     for ends in x[hull.simplices]:
-        one, other = (s[np.hypot(*(x - end).T) < ON_RIM] for end in ends)
-        is_close = (one @ other.T).max() > np.cos(np.radians(RIM_STEP_DEG))
-        known.append(is_close and np.hypot(*ends.T).min() > 1.0 - ON_RIM)
+        one, other = (s[np.hypot(*(x - end).T) < DIRECTIONS.on_rim] for end in ends)
+        is_close = (one @ other.T).max() > np.cos(np.radians(DIRECTIONS.rim_step_deg))
+        known.append(is_close and np.hypot(*ends.T).min() > 1.0 - DIRECTIONS.on_rim)
     return np.asarray(hull.equations[~np.array(known)])
 
 
 def beyond(limits: Array, S: Array) -> Flags:
     """Whether loads S (m, 3) of unit trace lie beyond the `limits_of` others, (m,)."""
-    return np.asarray((disc(S) @ limits[:, :2].T + limits[:, 2]).max(axis=1, initial=0.0) > BEYOND)
+    return np.asarray((disc(S) @ limits[:, :2].T + limits[:, 2]).max(axis=1, initial=0.0) > DIRECTIONS.beyond)
 
 
 def each_once(x: Array, is_mirrored: bool = False) -> NDArray[np.intp]:
     """Numbers (k,) in turn of the different ones among points (n, 2) of the disc; of mirror images one if asked for."""
     x = np.column_stack([x[:, 0], np.abs(x[:, 1])]) if is_mirrored else x
-    return np.sort(np.unique(np.round(x / SAME), axis=0, return_index=True)[1])
+    return np.sort(np.unique(np.round(x / DIRECTIONS.same), axis=0, return_index=True)[1])
 
 
 def tensile_part(S: Array) -> Array:
@@ -140,24 +149,25 @@ def hull_of(S: Array, is_mirrored: bool) -> Array:
 
     InputError for fewer than four loads, and loads on one line.
     """
-    x = disc(np.vstack([S, mirror(S[np.abs(S[:, 1]) > SAME])]) if is_mirrored else S)
+    x = disc(np.vstack([S, mirror(S[np.abs(S[:, 1]) > DIRECTIONS.same])]) if is_mirrored else S)
     few = len(each_once(x)) < 4
-    if few or np.linalg.matrix_rank(x - x[0], SAME) < 2:
+    if few or np.linalg.matrix_rank(x - x[0], DIRECTIONS.same) < 2:
         what = "are fewer than four" if few else "lie on one line"
         raise InputError(f"the rows' loads {what}: a law needs loads that differ in angle and in ratio")
     return np.asarray(x[ConvexHull(x).vertices])
 
 
 def folds_of(S: Array, is_mirrored: bool) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Numbers of loads that are left out together, and of those that stay, FOLDS times; none if the loads are too few.
-
-    Of loads that are the same, or mirror images, the first stands for all. Each is left out once with its neighbours
-    kept; corners of the hull of all stay in, they span it.
-    """
+    """Numbers of loads that are left out together, and of those that stay, DIRECTIONS.folds times; none if the loads
+    are too few. Of loads that are the same, or mirror images, the first stands for all. Each is left out once with its
+    neighbours kept; corners of the hull of all stay in, they span it."""
     once = each_once(disc(S), is_mirrored)
-    if len(once) < 2 * FOLDS:
+    if len(once) < 2 * DIRECTIONS.folds:
         return []
     inner = once[np.abs(disc(S[once])[:, None] - hull_of(S, is_mirrored)).max(axis=2).min(axis=1) > 1e-7]
-    if len(inner) < 2 * FOLDS:
+    if len(inner) < 2 * DIRECTIONS.folds:
         return []
-    return [(inner[fold::FOLDS], np.setdiff1d(once, inner[fold::FOLDS])) for fold in range(FOLDS)]
+    return [
+        (inner[fold :: DIRECTIONS.folds], np.setdiff1d(once, inner[fold :: DIRECTIONS.folds]))
+        for fold in range(DIRECTIONS.folds)
+    ]

@@ -22,7 +22,7 @@ from macro_fem.output.told import hooks_lines
 from macro_fem.rings import ring_scene
 from macro_fem.scene.loads import disk_areas
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.meshing.nodes import LEAST_SINE
+from macro_fem.scene.meshing.nodes import NODES
 from rve import InputError
 from rve.geometry import CellInfo
 from tests.test_macro_fem.sheets import least_angle, solve_scene
@@ -92,7 +92,7 @@ def test_every_point_has_its_node(shape, hang, tmp_path):
         area = np.abs(signed_areas(p[t])).sum()
         before = np.abs(signed_areas(without.mesh.p.T[without.mesh.t.T])).sum()
         assert area == pytest.approx(before, rel=1e-9 if shape != "disk" else 2e-3)
-        assert least_angle(p, t) >= np.degrees(np.arcsin(LEAST_SINE)) - 1e-9
+        assert least_angle(p, t) >= np.degrees(np.arcsin(NODES.least_sine)) - 1e-9
         facets = {name: len(facets) for name, facets in mesh.edges.items()}
         old = {name: len(facets) for name, facets in without.edges.items()}
         assert facets.keys() == old.keys()

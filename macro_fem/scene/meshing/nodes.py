@@ -21,15 +21,23 @@ from macro_fem.scene.meshing.edges import CORNER
 from rve.common import Array, InputError
 from rve.common.records import Index
 
-SAME = 1e-6
-"""Places nearer to a node than this part of the size of the mesh have a node."""
-LEAST_SINE = 0.05
-"""Least sine of a corner of a cell around a new or moved node, 3 degrees. Larger: more nodes are moved, which turns
-sides away from the weave, and more places refused. Smaller: cells that are too thin for the solvers' rounding."""
-TOUCH = 1e-3
-"""Places within this part of a boundary facet's length of it are on it, whether just inside or just outside."""
-NEAR_BEND = 0.25
-"""Nodes of a bent boundary move along it by at most this part of a facet, which changes the shape a little."""
+
+@dataclass(frozen=True)
+class NodeOptions:
+    """Numbers of nodes at places."""
+
+    same: float = 1e-6
+    """Places nearer to a node than this part of the size of the mesh have a node."""
+    least_sine: float = 0.05
+    """Least sine of a corner of a cell around a new or moved node, 3 degrees. Larger: more nodes are moved, which turns
+    sides away from the weave, and more places refused. Smaller: cells that are too thin for the solvers' rounding."""
+    touch: float = 1e-3
+    """Places within this part of a boundary facet's length of it are on it, whether just inside or just outside."""
+    near_bend: float = 0.25
+    """Nodes of a bent boundary move along it by at most this part of a facet, which changes the shape a little."""
+
+
+NODES = NodeOptions()
 
 RIM = ""
 """The name of the line of all boundary facets; edges have longer ones."""
@@ -84,7 +92,7 @@ def with_nodes_at(
     """The scikit-fem mesh with a node at each of the places (k, 2), its named lines of pairs (m, 2), and these nodes
     (k,); InputError, which begins with `wheres`, if it cannot.
     """
-    tiny = SAME * float(np.hypot(*np.ptp(mesh.p, axis=1)))
+    tiny = NODES.same * float(np.hypot(*np.ptp(mesh.p, axis=1)))
     distance, node = cKDTree(mesh.p.T).query(places)
     if distance.max(initial=0.0) < tiny:
         return mesh, lines, node
@@ -139,8 +147,8 @@ def _with_node(sheet: _Sheet, place: Array, kept: set[int], where: str, tiny: fl
             found.append(sheet.cut([a, b], place, bool(off > tiny)))
     else:
         raise InputError(f"{where}is {away:g} mm away from the curtain, whose nearest node is at ({x:g}, {y:g})")
-    best = max(found, key=lambda one: (one.sine >= LEAST_SINE, not one.turns, one.sine))
-    if best.sine < LEAST_SINE:
+    best = max(found, key=lambda one: (one.sine >= NODES.least_sine, not one.turns, one.sine))
+    if best.sine < NODES.least_sine:
         raise InputError(
             f"{where}gets no node without a flat cell, the nearest one is {away:g} mm away at [{x:.12g}, {y:.12g}]; "
             f"ask for that place, or use another number of cells"
@@ -155,7 +163,7 @@ def _nearest_facet(sheet: _Sheet, place: Array) -> tuple[int, bool]:
     facet = int(np.argmin(distance))
     turns = [_turn(sheet, int(node)) for node in sheet.rim[facet]]
     bulge = max((turn for turn in turns if turn < CORNER), default=0.0) / 4.0
-    return facet, bool(distance[facet] <= (TOUCH + bulge) * shapely.length(sides[facet]))
+    return facet, bool(distance[facet] <= (NODES.touch + bulge) * shapely.length(sides[facet]))
 
 
 def _turn(sheet: _Sheet, node: int) -> float:
@@ -170,7 +178,7 @@ def _turn(sheet: _Sheet, node: int) -> float:
 def _may_move(sheet: _Sheet, node: int, place: Array, length: Any) -> bool:
     """Whether a node on the boundary may move to a place on a facet of a length: where the boundary hardly turns."""
     turn, way = _turn(sheet, node), np.linalg.norm(sheet.points[node] - place)
-    return turn < 1e-6 or bool(turn < CORNER and way < NEAR_BEND * length)
+    return turn < 1e-6 or bool(turn < CORNER and way < NODES.near_bend * length)
 
 
 def _cell_around(sheet: _Sheet, place: Array, tiny: float) -> int:
