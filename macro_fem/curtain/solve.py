@@ -8,7 +8,7 @@ ways. Elastic rings have one answer.
 """
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,18 +26,27 @@ from macro_fem.solvers.stretch_limit import reach_of, solve_at_stretch_limit
 from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, InputError, part_of
 
-INWARD = 0.05
-"""How far the start of a load step is drawn from the last curtain, where no cone has any margin left, to the slack
-start; farther away more steps are needed."""
-ELASTIC_GAP = 1e-2
-"""Stresses of an elastic curtain are off by the square root of the gap: its path goes on to this part of the gap."""
+
+@dataclass(frozen=True)
+class SolveOptions:
+    """Numbers of the solver of a curtain."""
+
+    inward: float = 0.05
+    """How far the start of a load step is drawn from the last curtain, where no cone has any margin left, to the slack
+    start; farther away more steps are needed."""
+    elastic_gap: float = 1e-2
+    """Stresses of an elastic curtain are off by the square root of the gap: its path goes on to this part of the
+    gap."""
+    rank: float = 1e-9
+    """Singular values of the equations of balance below this part of the largest count as none."""
+
+
+SOLVE = SolveOptions()
 NOT_UNIQUE = (
     "rigid rings can share the load in many ways, and forces of single points, line loads and the safety factor are "
     'those of one of them; kind = "elastic" under [solver] gives those that the stiffness of the rings decides'
 )
 """What a rigid curtain says of forces that it leaves open."""
-RANK = 1e-9
-"""Singular values of the equations of balance below this part of the largest count as none."""
 
 
 def solve_problem(problem: CurtainProblem, start: CurtainSolution | None = None) -> CurtainSolution:
@@ -68,7 +77,7 @@ def solve_convex(problem: CurtainProblem, start: CurtainSolution | None = None) 
     elif problem.walls.stuck(problem.fem) > TOUCHED * problem.mesh.size:
         result = _unsolved(problem, "blocked")
     else:
-        cones, x = problem.cones, gathered_start(problem) if start is None else slackened(start, INWARD)
+        cones, x = problem.cones, gathered_start(problem) if start is None else slackened(start, SOLVE.inward)
         if cones is None and start is not None and start.problem.disc.n_points == problem.disc.n_points:
             cones = start.cones
         result, relaxation = _solve_within_reach(problem, reach, cones, x)
@@ -121,7 +130,7 @@ def _solve_within_reach(
     if problem.scene.solver.is_elastic:
         law = problem.elastic_law
         terms = Terms(law.compliance, problem.walls)
-        return solve_path(problem.fem, law, load, z, size, replace(options, least_gap=ELASTIC_GAP), terms), None
+        return solve_path(problem.fem, law, load, z, size, replace(options, least_gap=SOLVE.elastic_gap), terms), None
 
     def solve(fem: SupportedFem, z: Array, options: PathOptions, walls: Walls) -> PathResult:
         return solve_path(fem, problem.law, load, z, size, options, Terms(walls=walls))
@@ -181,7 +190,7 @@ def self_balanced(problem: CurtainProblem, x: Array) -> int:
     for piece in range(number):
         nodes, axes = np.nonzero(problem.supports.mask & (label == piece)[:, None])
         if len(np.unique(nodes)) > 2:
-            found += len(nodes) - int(np.linalg.matrix_rank(_balance(x[nodes], axes), RANK))
+            found += len(nodes) - int(np.linalg.matrix_rank(_balance(x[nodes], axes), SOLVE.rank))
     return found
 
 

@@ -1,7 +1,7 @@
 """What acts in a scene in motion at a moment: histories, masses lumped at the nodes, weights, winds; half-spaces of
 obstacles at their places at the end of a step, of bodies with mass, and of small motions."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -27,10 +27,19 @@ from rve.common import Array, digits
 
 TONNE = 1e-3
 """N s2/mm per kg: with lengths in mm and forces in N."""
-REACH = 2.0
-"""Points farther from a ball than this many times the way that they may go in a step get no half-space."""
-TURN = 1e-6
-"""Step over the size of the curtain in which normals of obstacles are seen to turn."""
+
+
+@dataclass(frozen=True)
+class StageOptions:
+    """Numbers of what acts in a step."""
+
+    reach: float = 2.0
+    """Points farther from a ball than this many times the way that they may go in a step get no half-space."""
+    turn: float = 1e-6
+    """Step over the size of the curtain in which normals of obstacles are seen to turn."""
+
+
+STAGE = StageOptions()
 
 
 def scene_at(scene: Scene, t: float) -> Scene:
@@ -148,7 +157,7 @@ class Contacts:
         for k, ball in enumerate(self.balls):
             away = at - x[self.n + k]
             distance = np.linalg.norm(away, axis=1)
-            near = self.near.setdefault(k, np.flatnonzero(distance < ball.radius + REACH * self.way))
+            near = self.near.setdefault(k, np.flatnonzero(distance < ball.radius + STAGE.reach * self.way))
             less = sparse.hstack([points[near], np.tile(-centre[k], (len(near), 1))], format="csr")
             normal = away[near] / np.maximum(distance[near], 1e-300)[:, None]
             owner = np.full(len(near), -1 - k)
@@ -226,7 +235,7 @@ def pushed_points(solution: CurtainSolution, carries: float) -> tuple[sparse.csr
         return walls.matrix, sparse.csr_matrix((n, n))
     rows = walls.matrix
     rows = sparse.csr_matrix(sparse.diags(1.0 / sparse.linalg.norm(rows, axis=1)) @ rows)
-    turn, at, step = np.zeros((len(which), 3, 3)), walls.at @ solution.x, TURN * problem.mesh.size
+    turn, at, step = np.zeros((len(which), 3, 3)), walls.at @ solution.x, STAGE.turn * problem.mesh.size
     for one in placed_obstacles(problem):
         own = np.flatnonzero(walls.owner == one.number)
         for axis, way in enumerate(step * np.eye(3)):
