@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 from homogenize import LawInterval, MembraneLaw, default_law, read_law_interval, with_material
 from homogenize.fitting import interval_or_law
@@ -30,6 +30,10 @@ Who = MembraneLaw | LawInterval | OnDemand | EveryRing | None
 law of rings with r1 = 5 mm and r2 = 0.5 mm."""
 
 
+@overload
+def solve(scene: Scene, who: EveryRing) -> EveryRingSolution: ...
+@overload
+def solve(scene: Scene, who: MembraneLaw | LawInterval | OnDemand | None = None) -> MembraneSolution: ...
 @checked
 def solve(scene: Scene, who: Who = None) -> Solution:
     """The answer to a scene.
@@ -179,7 +183,6 @@ def run_scene(
     law = None if law_path is None else interval_or_law(law_path)
     with noted_if_stopped(f"what was in {out} before is unchanged"):
         found = solve(scene, law if on_demand is None else on_demand)
-        assert isinstance(found, MembraneSolution)
         found.save(out, picture=False, inputs=inputs)
     if wanted.dxf is not None:
         found.write_dxf(wanted.dxf)
