@@ -31,9 +31,15 @@ law of rings with r1 = 5 mm and r2 = 0.5 mm."""
 
 
 @overload
-def solve(scene: Scene, who: EveryRing) -> EveryRingSolution: ...
+def solve(scene: Scene, who: EveryRing) -> EveryRingSolution:
+    """The answer of every ring."""
+
+
 @overload
-def solve(scene: Scene, who: MembraneLaw | LawInterval | OnDemand | None = None) -> MembraneSolution: ...
+def solve(scene: Scene, who: MembraneLaw | LawInterval | OnDemand | None = None) -> MembraneSolution:
+    """The answer of a law."""
+
+
 @checked
 def solve(scene: Scene, who: Who = None) -> Solution:
     """The answer to a scene.
