@@ -101,9 +101,9 @@ def refined(scene: Scene, mesh: CurtainMesh, side: float, place: Any = None) -> 
         found = solve_problem(make_problem(scene, law, mesh))
         told, used = judge_strength(found), utilisation(found)
         assert used is not None
-        at = np.array(told["utilisation_max_at_mm"] if place is None else place)
+        at = np.array(told.utilisation_max_at_mm if place is None else place)
         distance = np.linalg.norm(mesh.mesh.p - at[:, None], axis=0)[mesh.mesh.t]
-        high = (used > HIGH * told["utilisation_of_averages_max"]) & (distance.min(axis=0) < REACH)
+        high = (used > HIGH * told.utilisation_of_averages_max) & (distance.min(axis=0) < REACH)
         high |= distance.min(axis=0) <= distance.min()
         which, finer = mesh.mesh.element_finder(), mesh
         for _ in range(HALVINGS):
@@ -124,20 +124,20 @@ def utilisation_row(name: str) -> Row:
     finest: list[CurtainSolution] = []
     mesh, known = solved(name, COARSE).problem.mesh, judge_strength(own)
     # The force at a hook hardly depends on the mesh: the worst hook stays the worst one.
-    is_force = known["utilisation_of_point_forces_max"] > known["utilisation_of_averages_max"]
+    is_force = known.utilisation_of_point_forces_max > known.utilisation_of_averages_max
     for side in SIDES:
-        finest.append(refined(scene, mesh, side, known["utilisation_max_at_mm"] if is_force else None))
+        finest.append(refined(scene, mesh, side, known.utilisation_max_at_mm if is_force else None))
         mesh = finest[-1].problem.mesh
     values = [judge_strength(one) for one in finest]
-    used = [float(one["utilisation_of_averages_max"]) for one in values]
-    pointwise = [one["utilisation_pointwise_max"] for one in values]
+    used = [float(one.utilisation_of_averages_max) for one in values]
+    pointwise = [one.utilisation_pointwise_max for one in values]
     first, last = used[-2] - used[-3], used[-1] - used[-2]
     return {
         "example": name,
         **{"side of its cells, mm": cells, "status": ", ".join(sorted({one.status for one in (own, *finest)}))},
-        "its own mesh": float(known["utilisation_of_averages_max"]),
-        "its own mesh, force at a point": known["utilisation_of_point_forces_max"] or None,
-        "its own mesh, told too coarse": bool(known["utilisation_too_low"]),
+        "its own mesh": float(known.utilisation_of_averages_max),
+        "its own mesh, force at a point": known.utilisation_of_point_forces_max or None,
+        "its own mesh, told too coarse": bool(known.utilisation_too_low),
         **{f"{side:g} mm": value for side, value in zip(SIDES, used, strict=True)},
         "order": log2(abs(first / last)) if first * last > 0.0 else None,
         **{"last change": last / used[-1], "safety factor": 1.0 / used[-1], "near": values[-1]["first_yield_near"]},

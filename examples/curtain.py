@@ -118,9 +118,9 @@ def hang_curtain(law: Path, out: Path, cells: int) -> float:
     scene = out / "scene.toml"
     write_text(scene, scene_text(cells))
     summary = run_scene(scene, law, out / "curtain", picture=True)
-    say(f"  {summary['status']}: {summary['message']}")
-    say(f"  {cells} cells along the width: mean height {summary['mean_height_mm']:.2f} mm")
-    return float(summary["mean_height_mm"])
+    say(f"  {summary.status}: {summary.message}")
+    say(f"  {cells} cells along the width: mean height {summary.mean_height_mm:.2f} mm")
+    return summary.mean_height_mm
 
 
 def run(out: Path, setting: Setting = DEFAULT) -> dict[str, object]:

@@ -64,8 +64,8 @@ def tried(scene: Scene, r1: float, diameter: float, material: Material, spacing:
     told = found.summary
     if found.status not in ("converged", "taut"):
         return Wire(diameter, None, None, None, found.status)
-    factors = (told["safety_factor"], told["collapse_factor"])
-    return Wire(diameter, told["mass_kg"], *factors, found.status, told["utilisation_too_low"])
+    factors = (told.safety_factor, told.collapse_factor)
+    return Wire(diameter, told.mass_kg, *factors, found.status, told.utilisation_too_low)
 
 
 def least_diameter(wires: list[Wire], factor: float) -> float | None:

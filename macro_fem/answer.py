@@ -8,9 +8,11 @@ from typing import Any
 from homogenize import MembraneLaw, default_law, load_law
 from macro_fem.judged import support_rows
 from macro_fem.output.pictures import Drawings, Pictures, draw_all
+from macro_fem.ring_summary import EveryRingSummary
 from macro_fem.scene.reading import load_scene
 from macro_fem.scene.scene import Scene
 from macro_fem.solvers.status import Status
+from macro_fem.summary import CurtainSummary
 from rve.common import check_out_job, checked, csv_text, job, require, write_text
 from rve.common.optional import Axes, DataFrame
 
@@ -34,7 +36,7 @@ class Solution(ABC):
 
     @property
     @abstractmethod
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> CurtainSummary | EveryRingSummary:
         """The numbers of summary.json: lengths in mm, forces in N, line loads in N per mm of reference length."""
 
     @checked
@@ -46,7 +48,7 @@ class Solution(ABC):
         animation: bool = False,
         html: bool = False,
         inputs: Sequence[Path | None] = (),
-    ) -> dict[str, Any]:
+    ) -> CurtainSummary | EveryRingSummary:
         """Write summary.json, VTU and pictures into `folder`; the summary.
 
         By a law: curtain.vtu, support_forces.csv, order.csv, curtain.png, with more than one load step curtain.pvd with
@@ -57,10 +59,10 @@ class Solution(ABC):
         be written, or would overwrite `inputs`, or if what a picture needs is missing; NotDrawn, when all else is in
         place, for pictures that fail.
         """
-        drawings, summary = self.drawings(Pictures(picture, animation, html)), dict[str, Any]()
+        drawings, summary = self.drawings(Pictures(picture, animation, html)), self.summary
         with job(folder, RECORD, summary, inputs) as staged:
-            summary |= self._write(staged)
-            write_text(staged / "support_forces.csv", csv_text(*support_rows(summary["support_forces"])))
+            self._write(staged)
+            write_text(staged / "support_forces.csv", csv_text(*support_rows(summary.support_forces)))
         draw_all(folder, RECORD, summary, drawings, inputs)
         return summary
 
@@ -69,8 +71,8 @@ class Solution(ABC):
         """How to draw the wanted pictures; InputError for those without sense, and if what they need is missing."""
 
     @abstractmethod
-    def _write(self, staged: Path) -> dict[str, Any]:
-        """Write the data that this answer alone has into a new folder; the summary."""
+    def _write(self, staged: Path) -> None:
+        """Write the data that this answer alone has into a new folder."""
 
     @abstractmethod
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -87,28 +89,27 @@ class Solution(ABC):
     @property
     def status(self) -> Status:
         """How the answer ended."""
-        return Status(self.summary["status"])
+        return Status(self.summary.status)
 
     @property
     def message(self) -> str:
         """What the status means, and what to try."""
-        return str(self.summary["message"])
+        return self.summary.message
 
     @property
     def safety_factor(self) -> float | None:
         """Factor on all loads at which the first ring would yield; None where the strength is not known."""
-        factor: float | None = self.summary["safety_factor"]
-        return factor
+        return self.summary.safety_factor
 
     def support_forces(self) -> DataFrame:
         """The force of each held point on the curtain as a pandas DataFrame with the columns of support_forces.csv."""
         require("pandas", "notebook", "support_forces()", "read support_forces.csv in another way")
         from pandas import DataFrame
 
-        columns, rows = support_rows(self.summary["support_forces"])
+        columns, rows = support_rows(self.summary.support_forces)
         return DataFrame(rows, columns=list(columns))
 
     def __str__(self) -> str:
-        return f"Solution: {self.status}, mean height {self.summary['mean_height_mm']:.3f} mm"
+        return f"Solution: {self.status}, mean height {self.summary.mean_height_mm:.3f} mm"
 
     __repr__ = __str__

@@ -1,5 +1,6 @@
 """The command line: python -m macro_fem run scene.toml [--law law.json] --out DIR."""
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from itertools import takewhile
 from pathlib import Path
@@ -84,8 +85,9 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
         if goes_on:
             raise InputError(AT_REST)
         law = law_path if asked is None else None
-        summary, failed = made(run_scene, scene, law, out, on_demand=asked, **files)
-        say(*([] if asked else default_law_lines(law_path)), *curtain_lines(summary, out, explain=explain))
+        summary: Mapping[str, Any]
+        summary, failed = rest, _ = made(run_scene, scene, law, out, on_demand=asked, **files)
+        say(*([] if asked else default_law_lines(law_path)), *curtain_lines(rest, out, explain=explain))
     else:
         from macro_fem.motion.files import run_motion
 
@@ -100,7 +102,7 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
     _say_next_of_curtain(out, summary)
 
 
-def _answer_or_go_on(summary: dict[str, Any], failed: NotDrawn | None, command: str, *words: Any) -> None:
+def _answer_or_go_on(summary: Mapping[str, Any], failed: NotDrawn | None, command: str, *words: Any) -> None:
     """Print the summary; exit unless it has converged, of a run that was stopped with the command that goes on, and if
     pictures failed."""
     answer(summary)
@@ -232,7 +234,7 @@ def _beside(out: Path, what: str) -> Path:
     return out.parent / f"{out.resolve().name}_{what}"
 
 
-def _say_next_of_curtain(out: Path, summary: dict[str, Any]) -> None:
+def _say_next_of_curtain(out: Path, summary: Mapping[str, Any]) -> None:
     """How to see every ring of the curtain in a folder, if it is at rest and its law has rings."""
     if (count := summary.get("order", {}).get("rings")) is None:
         return
@@ -278,6 +280,7 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animatio
     plane, law = () if how["space"] else ("--plane",), () if law_path is None else ("--law", law_path)
     hung, own = load_scene(scene), (default_law() if law_path is None else load_law(law_path)).cell
     is_moving = hung.motion is not None
+    summary: Mapping[str, Any]
     if is_moving:
         summary, failed = made(run_motion, scene, law_path, out, animation=animation, goes_on=goes_on, **how)
         say(*motion_lines(summary, out))
@@ -286,8 +289,8 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animatio
     else:
         if own is not None:
             say(f"expected: {ring_cost(hung, own, space=how['space'])}")
-        summary, failed = made(run_rings, scene, law_path, out, **how)
-        say(*every_ring_lines(summary, out))
+        summary, failed = rings, _ = made(run_rings, scene, law_path, out, **how)
+        say(*every_ring_lines(rings, out))
     _answer_or_go_on(summary, failed, "rings", scene, *law, *plane, "--out", out)
     if not is_moving:
         say_next("macro_fem", "compare", scene, *law, *plane, why="beside the membrane of the law")

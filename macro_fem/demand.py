@@ -27,6 +27,7 @@ from macro_fem.curtain import CurtainSolution, solve_problem
 from macro_fem.judged import critical_load
 from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.scene import Scene
+from macro_fem.summary import Asked, Turn
 from rve import Cell, StrainTable, grid, read_table, reference_cell, solve_table, with_rings, write_table
 from rve.common import Array, Cache, InputError, numbers_of, part_of, read_entry, sidecar_path, versions
 from rve.common.arguments import check_fields
@@ -109,20 +110,6 @@ class OnDemand:
         return self.known
 
 
-@dataclass(frozen=True)
-class Turn:
-    """A turn: triangles, rows, load directions solved and read so far, bounds and their law's part, seconds so far."""
-
-    cells: int
-    rows: int
-    ring_solves: int
-    cache_hits: int
-    upper_N_mm: float
-    lower_N_mm: float
-    law_part_N_mm: float
-    wall_s: float
-
-
 @dataclass(frozen=True, eq=False)
 class Demand:
     """The answer on demand: the last curtain with its bounds, the rings that were asked, and the way there.
@@ -137,20 +124,17 @@ class Demand:
     status: str
     message: str
 
-    def to_dict(self) -> dict[str, Any]:
-        """For summary.json: status and message of the whole, how the rings were asked, and every turn."""
-        return {
-            "status": self.status,
-            "message": self.message,
-            "accuracy": self.accuracy,
-            "ring_solves": self.rings.solves,
-            "cache_hits": self.rings.hits,
-            "ring_failures": self.rings.failed,
-            "rows": len(self.rings.law.rows),
-            "largest_contradiction_of_rows": self.rings.law.raised,
-            "turns": [asdict(turn) for turn in self.turns],
-            "wall_s": self.turns[-1].wall_s,
-        }
+    def asked(self) -> Asked:
+        """How the rings were asked, and every turn."""
+        return Asked(
+            accuracy=self.accuracy,
+            ring_solves=self.rings.solves,
+            cache_hits=self.rings.hits,
+            ring_failures=self.rings.failed,
+            rows=len(self.rings.law.rows),
+            largest_contradiction_of_rows=self.rings.law.raised,
+            turns=self.turns,
+        )
 
 
 class Rings:

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 from homogenize import LawInterval, MembraneLaw, default_law, read_law_interval, with_material
 from homogenize.fitting import interval_or_law
@@ -12,6 +12,7 @@ from macro_fem.curtain import CurtainSolution, make_problem, solve_problem
 from macro_fem.demand import OnDemand, solve_on_demand
 from macro_fem.membrane import MembraneSolution
 from macro_fem.output.pictures import Pictures, draw_all
+from macro_fem.ring_summary import EveryRingSummary
 from macro_fem.rings import Comparison, EveryRing, EveryRingSolution, in_material, ring_scene
 from macro_fem.scene.checks import check_bounds, check_scene, check_sizes
 from macro_fem.scene.meshing.mesh import build_mesh, columns
@@ -20,12 +21,23 @@ from macro_fem.scene.reading import load_scene
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import Combination, LiveLoad
+from macro_fem.summary import CurtainSummary
 from rve import Cell
 from rve.common import InputError, check_out_job, checked, noted_if_stopped, part_of
 
 Who = MembraneLaw | LawInterval | OnDemand | EveryRing | None
 """Who answers: a law, the interval of laws of a table, a law asked of the rings on the way, or every ring; None for the
 law of rings with r1 = 5 mm and r2 = 0.5 mm."""
+
+
+@overload
+def solve(scene: Scene, who: EveryRing) -> EveryRingSolution:
+    """The answer of every ring."""
+
+
+@overload
+def solve(scene: Scene, who: MembraneLaw | LawInterval | OnDemand | None = None) -> MembraneSolution:
+    """The answer of a law."""
 
 
 @checked
@@ -161,7 +173,7 @@ def _steps(scene: Scene, law: MembraneLaw, last: int, start: CurtainSolution | N
 
 def run_scene(
     scene_path: Path, law_path: Path | None, out: Path, *, on_demand: OnDemand | None = None, **files: Any
-) -> dict[str, Any]:
+) -> CurtainSummary:
     """Solve the scene in a file by a law, or by rings `on_demand`, write its files into `out`; the summary.
 
     `files`: `picture`, `animation` and `html` as of `Solution.save`, and paths of a `report` (PDF) and of the outline
@@ -177,25 +189,26 @@ def run_scene(
     law = None if law_path is None else interval_or_law(law_path)
     with noted_if_stopped(f"what was in {out} before is unchanged"):
         found = solve(scene, law if on_demand is None else on_demand)
-        assert isinstance(found, MembraneSolution)
-        summary = found.save(out, picture=False, inputs=inputs)
+        found.save(out, picture=False, inputs=inputs)
     if wanted.dxf is not None:
         found.write_dxf(wanted.dxf)
     drawings = found.drawings(wanted)
     if wanted.report is not None:
         drawings[str(wanted.report.absolute())] = lambda path: found.write_report(path, inputs)
-    draw_all(out, RECORD, summary, drawings, inputs)
-    return summary
+    draw_all(out, RECORD, found.summary, drawings, inputs)
+    return found.summary
 
 
 def run_rings(
     scene_path: Path, law_path: Path | None, out: Path, *, picture: bool = True, html: bool = False, **how: Any
-) -> dict[str, Any]:
+) -> EveryRingSummary:
     """Solve the scene in a file ring by ring, write its files into `out`; the summary. how: space and start of
     `EveryRing`. InputError, and nothing written, for what cannot be read, or makes no sense for rings."""
     Pictures(picture, html=html, stem="rings").check()
     scene, law, inputs = read_job(scene_path, law_path, out)
-    return solve(scene, EveryRing(law, **how)).save(out, picture=picture, html=html, inputs=inputs)
+    answer = solve_every_ring(scene, EveryRing(law, **how))
+    answer.save(out, picture=picture, html=html, inputs=inputs)
+    return answer.summary
 
 
 @checked

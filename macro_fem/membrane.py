@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from macro_fem.answer import Solution
 from macro_fem.bounds.interval import CurtainBounds
 from macro_fem.curtain import CurtainSolution, forces_note, with_forces
-from macro_fem.judged import change_of_forces, envelope, governing, obstacle_summary, support_forces
+from macro_fem.judged import (
+    change_of_forces,
+    combination_rows,
+    envelope,
+    judge,
+    obstacle_forces,
+    settling_of,
+    support_forces,
+)
 from macro_fem.output import files
 from macro_fem.output.pictures import (
     Drawings,
@@ -31,10 +39,10 @@ from macro_fem.scene.meshing.outline_files import write_outline
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Combination
 from macro_fem.solvers.status import Status
+from macro_fem.summary import Asked, Bounds, CombinationRow, CurtainNumbers, CurtainSummary, LoadStep, Order
 from rve.common import check_out_file, checked, csv_text, write_text
 from rve.common.files import write_mesh_file
 from rve.common.optional import Axes
-from rve.geometry import CellInfo
 
 if TYPE_CHECKING:
     from macro_fem.demand import Demand
@@ -51,7 +59,7 @@ class MembraneSolution(Solution):
     steps: tuple[CurtainSolution, ...]
     levels: tuple[CurtainBounds, ...] = ()
     demand: Demand | None = None
-    combinations: tuple[tuple[Combination, Solution], ...] = ()
+    combinations: tuple[tuple[Combination, MembraneSolution], ...] = ()
     coarser: CurtainSolution | None = None
 
     @property
@@ -78,44 +86,56 @@ class MembraneSolution(Solution):
         return failed[0] if failed and own == Status.CONVERGED else own
 
     @cached_property
-    def summary(self) -> dict[str, Any]:
-        summary = files.summarize(self.loaded)
+    def summary(self) -> CurtainSummary:
+        numbers, asked, bounds = files.summarize(self.loaded), Asked(), Bounds()
+        rows, most = tuple[CombinationRow, ...](), None
         if self.levels:
-            lines = [files.bounds_summary(level) for level in self.levels]
-            summary |= {"bounds": lines[-1], "levels": lines} | files.interval_summary(self.levels[-1])
-        if self.demand is not None:
-            summary |= self.demand.to_dict()
-        summary |= obstacle_summary(self._shown)
+            bounds = files.interval_summary(self.levels)
+        if (demand := self.demand) is not None:
+            asked, wall_s = demand.asked(), demand.turns[-1].wall_s
+            numbers = replace(numbers, status=demand.status, message=demand.message, wall_s=wall_s)
         if self.combinations:
-            summary |= envelope([(one, found.summary) for one, found in self.combinations])
-            failed = [row for row in summary["combinations"] if row["status"] != Status.CONVERGED]
-            if failed and summary["status"] == Status.CONVERGED:
-                message = f"combination {failed[0]['name']}: {failed[0]['message']}"
-                summary |= {"status": failed[0]["status"], "message": message}
+            answers = [(one, found.summary) for one, found in self.combinations]
+            rows, most = combination_rows(answers), envelope(answers)
+            failed = [row for row in rows if row.status != Status.CONVERGED]
+            if failed and numbers.status == Status.CONVERGED:
+                message = f"combination {failed[0].name}: {failed[0].message}"
+                numbers = replace(numbers, status=failed[0].status, message=message)
         if self.are_hooks_open:
             other = None if self.coarser is None else support_forces(self.coarser)
-            summary["single_forces_note"] = change_of_forces(summary["support_forces"], other)
-        summary |= governing(summary) | {"order": order(self.loaded, summary)}
-        summary["features"] = files.features(self.loaded, bounds=bool(self.levels))
-        if len(self.steps) > 1:
-            summary["steps"] = [
-                {
-                    "step": step,
-                    "factor": step / len(self.steps),
-                    "status": one.status,
-                    "mean_height_mm": one.mean_height(),
-                    "lowest_point_mm": float(one.x[:, 1].min()),
-                    "potential_primal_N_mm": one.primal,
-                }
-                for step, one in enumerate(self.steps, 1)
-            ]
-        return summary
+            numbers = replace(numbers, single_forces_note=change_of_forces(numbers.support_forces, other))
+        return CurtainSummary(
+            **numbers.parts(),
+            **bounds.parts(),
+            **asked.parts(),
+            obstacles=obstacle_forces(self._shown) or None,
+            settling=settling_of(self.loaded),
+            combinations=rows or None,
+            envelope=most,
+            **judge(numbers, rows, most).parts(),
+            order=order(self.loaded, numbers),
+            features=files.features(self.loaded, bounds=bool(self.levels)),
+            steps=self._load_steps() if len(self.steps) > 1 else None,
+        )
+
+    def _load_steps(self) -> tuple[LoadStep, ...]:
+        return tuple(
+            LoadStep(
+                step=step,
+                factor=step / len(self.steps),
+                status=one.status,
+                mean_height_mm=one.mean_height(),
+                lowest_point_mm=float(one.x[:, 1].min()),
+                potential_primal_N_mm=one.primal,
+            )
+            for step, one in enumerate(self.steps, 1)
+        )
 
     def drawings(self, wanted: Pictures) -> Drawings:
         wanted.check(self.scene)
         return curtain_drawings(self._shown, wanted)
 
-    def _write(self, staged: Path) -> dict[str, Any]:
+    def _write(self, staged: Path) -> None:
         summary, area = self.summary, self.solution.problem.disc.cell_area
         error = {"error_N_mm_per_mm2": self.levels[-1].error / area} if self.levels else {}
         write_mesh_file(staged / "curtain.vtu", files.curtain_mesh(self.loaded, error))
@@ -124,11 +144,11 @@ class MembraneSolution(Solution):
             for (_, _, name), step in zip(entries, self._shown, strict=True):
                 write_mesh_file(staged / name, files.curtain_mesh(step))
             write_text(staged / "curtain.pvd", files.collection(entries))
-        write_text(staged / "order.csv", csv_text(list(summary["order"]), [summary["order"].values()]))
-        if self.combinations:
-            rows = summary["envelope"]["support_forces"]
+        sheet = summary.order.to_dict()
+        write_text(staged / "order.csv", csv_text(list(sheet), [sheet.values()]))
+        if summary.envelope is not None:
+            rows = [one.to_dict() for one in summary.envelope.support_forces]
             write_text(staged / "envelope.csv", csv_text(list(rows[0]), (row.values() for row in rows)))
-        return summary
 
     def write_html(self, path: str | Path) -> None:
         check_out_file(path, "path")
@@ -173,8 +193,8 @@ class MembraneSolution(Solution):
         return [*self.steps[:-1], self.loaded]
 
 
-def order(solution: CurtainSolution, summary: dict[str, Any]) -> dict[str, Any]:
-    """The order sheet of a solved curtain for summary.json, lengths in mm.
+def order(solution: CurtainSolution, summary: CurtainNumbers) -> Order:
+    """The order sheet of a solved curtain, lengths in mm.
 
     Width and height are those of the sheet pulled along its grain, the reference state of the law. `cells` and `rings`
     are areas over the area of a cell of the weave, rounded; they, weave and radii are None for a law without rings, and
@@ -182,25 +202,23 @@ def order(solution: CurtainSolution, summary: dict[str, Any]) -> dict[str, Any]:
     that are held one by one, `hook_pitch_mm` is their distance along the mesh, None where there is no row of them.
     """
     width, height = solution.problem.scene.curtain.extent(solution.problem.mesh.mesh.p.T).tolist()
-    single = [one for one in summary["support_forces"] if "largest_force_per_ring_N" in one]
     points = {int(node) for one in solution.problem.supports.held if not len(one.facets) for node in one.nodes}
-    return {
-        "mesh_width_mm": width,
-        "mesh_height_mm": height,
-        **_rings(float(solution.problem.disc.cell_area.sum()), solution.problem.law.cell),
-        "mass_kg": summary["mass_kg"],
-        "hooks": len(points),
-        "hook_pitch_mm": next((one["pitch_mm"] for one in single if "pitch_mm" in one), None),
-        "material": summary["ring_material"],
-        "held_width_mm": float(np.ptp(solution.x[solution.problem.supports.mask.any(axis=1), 0])),
-        "lowest_point_mm": summary["lowest_point_mm"],
-    }
-
-
-def _rings(area: float, info: CellInfo | None) -> dict[str, Any]:
-    """The rings and their weave, and how many cells and rings are on an area in mm2."""
-    if info is None or info.weave is None:
-        return dict.fromkeys(("cells", "rings", "weave", "r1_mm", "r2_mm"))
-    cells = area / math.prod(info.sides_mm)
-    kind = {"weave": info.weave, "r1_mm": info.r1_mm, "r2_mm": info.r2_mm}
-    return {"cells": round(cells), "rings": round(cells * info.cell().weave.classes)} | kind
+    info, cells = solution.problem.law.cell, None
+    if info is not None and info.weave is not None:
+        cells = float(solution.problem.disc.cell_area.sum()) / math.prod(info.sides_mm)
+    rings = info if cells is not None else None
+    return Order(
+        mesh_width_mm=width,
+        mesh_height_mm=height,
+        cells=None if cells is None else round(cells),
+        rings=None if cells is None or rings is None else round(cells * rings.cell().weave.classes),
+        weave=rings and rings.weave,
+        r1_mm=rings and rings.r1_mm,
+        r2_mm=rings and rings.r2_mm,
+        mass_kg=summary.mass_kg,
+        hooks=len(points),
+        hook_pitch_mm=next((one.pitch_mm for one in summary.support_forces if one.pitch_mm is not None), None),
+        material=summary.ring_material,
+        held_width_mm=float(np.ptp(solution.x[solution.problem.supports.mask.any(axis=1), 0])),
+        lowest_point_mm=summary.lowest_point_mm,
+    )

@@ -1,7 +1,7 @@
 """The report of a run: two pages of A4, or more of long tables, as PDF, vector graphics by matplotlib."""
 
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from macro_fem.curtain import CurtainSolution
 from macro_fem.judged import first_of_largest, links, spot_loads
 from macro_fem.output.pictures import plot_line_loads, plot_utilisation
 from macro_fem.output.told import combination_lines, components, lean_note, loads_in_words, order_lines, verdict
+from macro_fem.summary import CurtainSummary, SupportForce
 from rve.common import atomic_path, checksum, digits
 from rve.common.drawing.plane import BLUE, VERMILION, as_typed, new_figure
 from rve.common.optional import Axes, Figure
@@ -38,7 +39,7 @@ LIMITS = (
 
 
 def write_report(
-    path: str | Path, solution: CurtainSolution, summary: dict[str, Any], inputs: Iterable[Path | None] = ()
+    path: str | Path, solution: CurtainSolution, summary: CurtainSummary, inputs: Iterable[Path | None] = ()
 ) -> None:
     """Write the report as PDF: scene with dimensions, shape, order; then forces, factors, limits, versions.
 
@@ -54,16 +55,16 @@ def write_report(
     shape.set_title("")
     shape.set_title("As it hangs: largest principal line load, and its direction", fontsize=8, loc="left")
     words, holds = verdict(summary)
-    forces = _largest_forces(summary) if "envelope" in summary else _forces(summary["support_forces"])
+    forces = _largest_forces(summary) if summary.envelope is not None else _forces(summary.support_forces)
     forces = [*forces, (0.0, "none", "")]
     size, name, _ = forces[first_of_largest([size for size, *_ in forces])]
     largest = f"Largest force of a support: {digits(size)} N ({name})"
     _section(first, 0.945, words, [largest], BLUE if holds else VERMILION)
-    mesh, *more = (line.strip().removeprefix("order: ") for line in order_lines(summary["order"]))
-    joint, stress = summary["ring_joint"], summary["ring_yield_N_per_mm2"]
+    mesh, *more = (line.strip().removeprefix("order: ") for line in order_lines(summary.order))
+    joint, stress = summary.ring_joint, summary.ring_yield_N_per_mm2
     closed = {None: "", "welded": "welded, "}.get(joint, "bent and not welded, ")
     rings = f"rings {closed}yield stress {'not known' if stress is None else f'{stress:g} N/mm2'}"
-    order = [mesh, *more, rings, f"mean height {summary['mean_height_mm']:.1f} mm"]
+    order = [mesh, *more, rings, f"mean height {summary.mean_height_mm:.1f} mm"]
     _section(first, 0.18, "What to order, and how it hangs", _wrapped(order))
     pages, y = [first], FOOT
     loads = "Loads, at x and y in the flat sheet, mm", [loads_in_words(solution.problem.scene)], False
@@ -75,7 +76,7 @@ def write_report(
                 y, room = TOP, int((TOP - FOOT) / LINE) - 3
             y = _section(pages[-1], y, head, left[:room], is_table=is_table)
             left = left[room:]
-    if y > 0.42 and summary["utilisation_max"] is not None:
+    if y > 0.42 and summary.utilisation_max is not None:
         used = pages[-1].add_axes((0.14, 0.1, 0.74, y - 0.14))
         plot_utilisation(solution, used).legend().remove()
         used.set_title("Where the rings are used", fontsize=8, loc="left")
@@ -113,17 +114,17 @@ def _section(
     return y - LINE * len(text) * (0.9 if is_table else 1.0) - 0.015
 
 
-def _sections(summary: dict[str, Any], inputs: Iterable[Path]) -> Iterable[tuple[str, Iterable[str], bool]]:
+def _sections(summary: CurtainSummary, inputs: Iterable[Path]) -> Iterable[tuple[str, Iterable[str], bool]]:
     """Titles and lines of the further pages, and whether the lines are a table."""
-    coarse = "at most " if summary["utilisation_too_low"] else ""
-    is_combined, given = "combinations" in summary, links(summary)
+    coarse = "at most " if summary.utilisation_too_low else ""
+    is_combined, given = summary.combinations is not None, links(summary)
     factors = [f"{one.name}: at {coarse * (one.name == 'mesh')}{digits(one.factor)} times the load" for one in given]
     if is_combined:
         yield "Load combinations", combination_lines(summary), False
     of = " without partial factors" * is_combined
     yield f"What gives first{of}", factors or ["nothing whose strength is known is loaded"], False
     own = ROW.format("support", "x y in sheet, mm", "x y (z) hung, mm", "force, N", "its x y (z), N")
-    tables = [(f"Forces of supports{of}", own, _forces(summary["support_forces"]))]
+    tables = [(f"Forces of supports{of}", own, _forces(summary.support_forces))]
     if is_combined:
         head = ROW.format("support", "x y in sheet, mm", "", "force, N", "under")
         tables.insert(0, ("Largest forces of supports under the combinations", head, _largest_forces(summary)))
@@ -133,38 +134,41 @@ def _sections(summary: dict[str, Any], inputs: Iterable[Path]) -> Iterable[tuple
         yield f"{title}{most}", [head, *(rows[number][2] for number in shown)], True
     yield (
         "Assumptions and limits",
-        filter(
-            None, [*LIMITS, *(summary[key] for key in ("governing_note", "single_forces_note")), lean_note(summary)]
-        ),
+        filter(None, [*LIMITS, summary.governing_note, summary.single_forces_note, lean_note(summary)]),
         False,
     )
-    versions = ", ".join(f"{key} {value}" for key, value in summary["versions"].items())
+    versions = ", ".join(f"{key} {value}" for key, value in summary.versions.items())
     yield "Versions and files", [versions, *(f"SHA-256 of {one.name}: {checksum(one)}" for one in inputs)], False
 
 
-def _forces(supports: list[dict[str, Any]]) -> list[tuple[float, str, str]]:
+def _forces(supports: Sequence[SupportForce]) -> list[tuple[float, str, str]]:
     """Size, name and row of each force: those of single points, and of each edge or area the sum."""
     rows = []
     for number, one in enumerate(supports, 1):
         of = f" of support {number}" if len(supports) > 1 else ""
-        whole = {"point": one["support"], "at_mm": (), "place_mm": (), "force_N": one["force_N"]}
-        for part in one["points"] if "largest_force_per_ring_N" in one else [whole]:
-            name, size = f"{part['point']}{of}{', sum' * (part is whole)}", float(np.linalg.norm(part["force_N"]))
-            at, place = (" ".join(f"{round(x)}" for x in part[key]) for key in ("at_mm", "place_mm"))
-            rows.append((size, name, ROW.format(name, at, place, digits(size), components(*part["force_N"]))))
+        parts: list[tuple[str, Sequence[float], Sequence[float], Sequence[float]]]
+        parts = [(f"{one.support}{of}, sum", (), (), one.force_N)]
+        if one.largest_force_per_ring_N is not None:
+            parts = [(f"{part.point}{of}", part.at_mm, part.place_mm, part.force_N or ()) for part in one.points]
+        for name, *places, force in parts:
+            at, place = (" ".join(f"{round(x)}" for x in where) for where in places)
+            size = float(np.linalg.norm(force))
+            rows.append((size, name, ROW.format(name, at, place, digits(size), components(*force))))
     return rows
 
 
-def _largest_forces(summary: dict[str, Any]) -> list[tuple[float, str, str]]:
+def _largest_forces(summary: CurtainSummary) -> list[tuple[float, str, str]]:
     """Size, name and row of the largest force of each single point, and of each edge or area the largest sum."""
-    supports, rows = summary["support_forces"], []
-    for one in (*summary["envelope"]["support_sums"], *summary["envelope"]["support_forces"]):
-        is_sum, is_single = "point" not in one, "largest_force_per_ring_N" in supports[one["support_number"] - 1]
+    supports, most, rows = summary.support_forces, summary.envelope, []
+    assert most is not None
+    for one in (*most.support_sums, *most.support_forces):
+        is_sum = one.point is None
+        is_single = supports[one.support_number - 1].largest_force_per_ring_N is not None
         if is_sum != is_single:
-            of = f" of support {one['support_number']}" if len(supports) > 1 else ""
-            name = f"{one['support']}{of}, sum" if is_sum else f"{one['point']}{of}"
-            at = "" if is_sum else f"{round(one['x_mm'])} {round(one['y_mm'])}"
-            size, under = one["force_N"], one["combination"]
+            of = f" of support {one.support_number}" if len(supports) > 1 else ""
+            name = f"{one.support}{of}, sum" if is_sum else f"{one.point}{of}"
+            at = "" if one.x_mm is None or one.y_mm is None else f"{round(one.x_mm)} {round(one.y_mm)}"
+            size, under = one.force_N, one.combination
             rows.append((size, f"{name}, {under}", ROW.format(name, at, "", digits(size), under)))
     return rows
 

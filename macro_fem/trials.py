@@ -27,6 +27,7 @@ from macro_fem.scene.checks import check_scene
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import Rectangle
 from macro_fem.scene.tables import Bar, Combination, Item, Wind
+from macro_fem.summary import CurtainSummary
 from rve import solve_table, with_rings
 from rve.common import NO_CACHE, Cache, InputError, NotConverged, checksum, digits, part_of, tell, versions
 
@@ -263,11 +264,16 @@ def answer_of(scene: Scene, who: Who, start: CurtainSolution | None) -> tuple[di
     return ({"status": status}, None) if start is None else answer_of(scene, who, None)
 
 
-def _fields(summary: dict[str, Any]) -> dict[str, Any]:
-    worst = summary.get("envelope", summary)
-    if worst["weakest_factor"] is None:
-        unknown = f"the strength of the rings is not known: {summary['strength_note']}"
-        return {"status": unknown if summary["utilisation_max"] is None else "there is no load"}
-    own = {"governing_combination": worst["governing"]} if "governing" in worst else {}
-    kept = {key: worst[key] for key in ("safety_factor", "weakest", "utilisation_too_low")}
-    return {"factor": worst["weakest_factor"], "status": "converged"} | kept | own
+def _fields(summary: CurtainSummary) -> dict[str, Any]:
+    worst = summary.envelope or summary
+    if worst.weakest_factor is None:
+        unknown = f"the strength of the rings is not known: {summary.strength_note}"
+        return {"status": unknown if summary.utilisation_max is None else "there is no load"}
+    return {
+        "factor": worst.weakest_factor,
+        "status": "converged",
+        "safety_factor": worst.safety_factor,
+        "weakest": worst.weakest,
+        "utilisation_too_low": worst.utilisation_too_low,
+        "governing_combination": summary.envelope and summary.envelope.governing,
+    }

@@ -17,6 +17,8 @@ from scipy import sparse
 
 import homogenize
 import macro_fem
+import macro_fem.ring_summary
+import macro_fem.summary
 import rve
 from rve.finite import FiniteOptions, HalfSpace, RoundBody, cell_of_sides, ring_places, slack_rings, step_rings
 from rve.placed import cell_forces, fit_rings, locked_arrangements, nearest_poses
@@ -52,15 +54,29 @@ def test_the_answer_balances_its_weight(answer, tmp_path):
     """Two corners carry the weight of the mesh, half each; the files say what the summary says."""
     assert answer.status == "converged"
     summary = answer.summary
-    weight = summary["mass_kg"] * 9.81
-    assert summary["mass_kg"] == pytest.approx(summary["areal_mass_kg_per_m2"] * 0.2 * 0.15, rel=1e-9)
-    points = [point for support in summary["support_forces"] for point in support["points"]]
-    assert [point["at_mm"] for point in points] == [[0.0, 150.0], [200.0, 150.0]]
-    assert [point["force_N"][1] for point in points] == pytest.approx([0.5 * weight] * 2, rel=1e-6)
+    weight = summary.mass_kg * 9.81
+    assert summary.mass_kg == pytest.approx(summary.areal_mass_kg_per_m2 * 0.2 * 0.15, rel=1e-9)
+    points = [point for support in summary.support_forces for point in support.points]
+    assert [point.at_mm for point in points] == [[0.0, 150.0], [200.0, 150.0]]
+    assert [point.force_N[1] for point in points] == pytest.approx([0.5 * weight] * 2, rel=1e-6)
     answer.save(tmp_path / "out", picture=False)
     saved = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert saved["mean_height_mm"] == summary["mean_height_mm"]
-    assert saved["files"].keys() == {"curtain.vtu", "support_forces.csv", "order.csv"}
+    assert saved.pop("files").keys() == {"curtain.vtu", "support_forces.csv", "order.csv"}
+    assert saved == summary.to_dict() == dict(summary)
+    assert saved["support_forces"][0]["points"][0]["force_N"] == points[0].force_N
+
+
+def test_attributes_of_a_summary_are_the_keys_of_the_page():
+    """And a key is left out only where nothing is behind it, not where what is behind it is not known."""
+    text = (ROOT / "docs" / "reference" / "files.md").read_text()
+    page = set(re.findall(r"`([A-Za-z_][A-Za-z_0-9]*)`", text))
+    records = [one for one in vars(macro_fem.summary).values() if isinstance(one, type)]
+    records += [one for one in vars(macro_fem.ring_summary).values() if isinstance(one, type)]
+    names = {field.name for one in records if dataclasses.is_dataclass(one) for field in dataclasses.fields(one)}
+    assert len(names) > 120
+    assert names <= page
+    interval = macro_fem.summary.Bounds(mean_height_interval_mm=[1.0, 2.0], mesh_part_mm=1.0)
+    assert interval.to_dict() == {"mean_height_interval_mm": [1.0, 2.0], "law_part_mm": None, "mesh_part_mm": 1.0}
 
 
 def records_in(value):

@@ -25,4 +25,4 @@ from .solve import with_forces as with_forces
 from .wind import P2_PARTS as P2_PARTS
 from .wind import front_of as front_of
 from .wind import wind_density as wind_density
-from .wind import wind_summary as wind_summary
+from .wind import wind_drags as wind_drags

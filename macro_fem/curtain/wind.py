@@ -21,6 +21,7 @@ from macro_fem.fem.cells import counterclockwise, cross, recovered, signed_areas
 from macro_fem.scene import loads
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.tables import Wind
+from macro_fem.summary import WindDrag
 from rve.common import Array
 from rve.common.records import Index
 
@@ -140,7 +141,7 @@ def _side(problem: CurtainProblem, wind: Wind) -> float:
     return float(np.sign(along))
 
 
-def wind_summary(solution: CurtainSolution) -> dict[str, list[dict[str, float]]]:
+def wind_drags(solution: CurtainSolution) -> tuple[WindDrag, ...]:
     """Drag of one flat layer in winds with a speed, and front, its mean layers and solidity, and drag of the shape."""
     problem, lines = solution.problem, []
     cell, reference = problem.law.cell, problem.disc.cell_area
@@ -150,17 +151,17 @@ def wind_summary(solution: CurtainSolution) -> dict[str, list[dict[str, float]]]
         assert cell is not None  # see `macro_fem.scene.loads.nodal_forces`
         along, area = unit(wind.direction), np.cross(solution.F[:, :, 0], solution.F[:, :, 1])
         front = max(float(front_of(problem, solution.x, along).area.sum()), LEAST_FRONT * float(reference.sum()))
-        line = {
-            "speed_m_per_s": wind.speed,
-            "solidity": loads.ring_solidity(cell),
-            "drag_coefficient": float(loads.layered_drag(cell, np.ones(1))[0]),
-            "pressure_N_per_m2": loads.wind_pressure(wind, cell) / loads.PER_MM2,
-            "front_area_m2": front * loads.PER_MM2,
-            "layers": float(reference.sum() / front),
-            "drag_N": float(reference @ (problem.factor * _drag(problem, wind, solution.x, area)) @ along),
-        }
+        line = WindDrag(
+            speed_m_per_s=wind.speed,
+            solidity=loads.ring_solidity(cell),
+            drag_coefficient=float(loads.layered_drag(cell, np.ones(1))[0]),
+            pressure_N_per_m2=loads.wind_pressure(wind, cell) / loads.PER_MM2,
+            front_area_m2=front * loads.PER_MM2,
+            layers=float(reference.sum() / front),
+            drag_N=float(reference @ (problem.factor * _drag(problem, wind, solution.x, area)) @ along),
+        )
         lines.append(line)
-    return {"wind": lines} if lines else {}
+    return tuple(lines)
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,12 @@ from .forces import TOUCHES as TOUCHES
 from .forces import PointForce as PointForce
 from .forces import change_of_forces as change_of_forces
 from .forces import first_of_largest as first_of_largest
-from .forces import obstacle_summary as obstacle_summary
+from .forces import obstacle_forces as obstacle_forces
 from .forces import own_forces as own_forces
 from .forces import point_forces as point_forces
 from .forces import pulls as pulls
 from .forces import pushes_of as pushes_of
+from .forces import settling_of as settling_of
 from .forces import spot_loads as spot_loads
 from .forces import support_forces as support_forces
 from .forces import support_rows as support_rows
@@ -27,7 +28,8 @@ from .strength import judged_by as judged_by
 from .strength import nearest as nearest
 from .strength import rings_at_points as rings_at_points
 from .strength import utilisation as utilisation
-from .verdict import UTILISATIONS as UTILISATIONS
+from .verdict import asked_of_rings as asked_of_rings
+from .verdict import combination_rows as combination_rows
 from .verdict import envelope as envelope
-from .verdict import governing as governing
+from .verdict import judge as judge
 from .verdict import links as links

@@ -13,7 +13,9 @@ from macro_fem.fem.cells import padded
 from macro_fem.scene.loads import wind_per_area
 from macro_fem.scene.meshing.mesh import point_node
 from macro_fem.scene.scene import Scene
+from macro_fem.scene.support_kinds import Hooks, Track
 from macro_fem.scene.tables import PatchLoad, PointLoad, Wind, in_3d
+from macro_fem.summary import HeldPoint, ObstacleForce, ObstacleStep, RingSupport, Rounds, SupportForce
 from rve.common import Array, digits
 
 TOUCHES = 1e-6
@@ -71,7 +73,7 @@ def spot_loads(scene: Scene) -> list[tuple[str, PointLoad | PatchLoad]]:
     return [(f"load.{kind.kind} {number}", one) for kind in kinds for number, one in enumerate(scene.of(kind), 1)]
 
 
-def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
+def support_forces(solution: CurtainSolution) -> tuple[SupportForce, ...]:
     """Force of each support on the curtain in N, in sum and at each of its nodes, and what it holds.
 
     A component held by two supports counts for the first, so that the forces of all points balance the loads;
@@ -82,24 +84,29 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
     each = zip(problem.scene.support, problem.supports.held, shares, strict=True)
     for number, (item, held, (own, part, largest)) in enumerate(each):
         columns = {"at_mm": problem.disc.nodes, "force_N": part, "place_mm": solution.x}
-        found = {"support": held.name, "force_N": part.sum(axis=0).tolist(), "largest_nodal_force_N": largest}
-        if not len(held.facets):
-            found["largest_force_per_ring_N"] = largest / getattr(item, "rings_per_hook", 1)
-        if hasattr(item, "capacity"):
-            found["capacity_N"] = item.capacity
-        if row := problem.mesh.hooks.get(number):
-            found |= {"pitch_mm": row.pitch, "pitch_asked_mm": getattr(item, "pitch", None)}
-        points: list[dict[str, Any]] = [
-            {"point": f"{item.one} {count}"} | {name: values[node].tolist() for name, values in columns.items()}
+        row = problem.mesh.hooks.get(number)
+        points = tuple(
+            HeldPoint(point=f"{item.one} {count}", **{name: values[node].tolist() for name, values in columns.items()})
             for count, node in enumerate(held.nodes, 1)
             if own[node].any()
-        ]
-        held_mm = float(np.hypot(*problem.mesh.sides[held.facets].T).sum())
-        forces.append(found | {"nodes_held": len(held.nodes), "length_held_mm": held_mm, "points": points})
-    return forces
+        )
+        force = SupportForce(
+            support=held.name,
+            force_N=part.sum(axis=0).tolist(),
+            largest_nodal_force_N=largest,
+            largest_force_per_ring_N=None if len(held.facets) else largest / getattr(item, "rings_per_hook", 1),
+            capacity_N=item.capacity if isinstance(item, Hooks | Track) else None,
+            pitch_mm=row and row.pitch,
+            pitch_asked_mm=item.pitch if row and isinstance(item, Hooks | Track) else None,
+            nodes_held=len(held.nodes),
+            length_held_mm=float(np.hypot(*problem.mesh.sides[held.facets].T).sum()),
+            points=points,
+        )
+        forces.append(force)
+    return tuple(forces)
 
 
-def change_of_forces(supports: list[dict[str, Any]], coarser: list[dict[str, Any]] | None) -> str | None:
+def change_of_forces(supports: Sequence[SupportForce], coarser: Sequence[SupportForce] | None) -> str | None:
     """By how much forces of single points differ from those on a `coarser` mesh, in a sentence; None where they hardly
     do. None for that: the mesh has one cell between two of them, and none is coarser."""
     if coarser is None:
@@ -110,10 +117,9 @@ def change_of_forces(supports: list[dict[str, Any]], coarser: list[dict[str, Any
     each: list[tuple[str, float, float]] = []
     for number, (one, other) in enumerate(zip(supports, coarser, strict=True), 1):
         of = f" of support {number}" if len(supports) > 1 else ""
-        for point, same in zip(one["points"], other["points"], strict=False):
-            if "largest_force_per_ring_N" in one:
-                fine, coarse = (float(np.linalg.norm(part["force_N"])) for part in (point, same))
-                each.append((f"{point['point']}{of}", fine, coarse))
+        for point, same in zip(one.points, other.points, strict=False):
+            if one.largest_force_per_ring_N is not None:
+                each.append((f"{point.point}{of}", point.size_N, same.size_N))
     if not each:
         return None
     most = max(one[1] for one in each), max(one[2] for one in each)
@@ -138,15 +144,15 @@ def own_forces(holds: Iterable[np.ndarray], reactions: Array) -> Iterator[tuple[
         yield own, np.where(own, reactions, 0.0), float(largest)
 
 
-def support_rows(supports: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
+def support_rows(supports: Sequence[SupportForce | RingSupport]) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
     """Columns and rows of support_forces.csv: each point with number and name of its support, reference position, force
     and place, and its own name, if it has one.
     """
     columns = [f"{what}_{axis}_{unit}" for what, unit in (("force", "N"), ("place", "mm")) for axis in "xyz"]
-    points = [(number, one["support"], point) for number, one in enumerate(supports, 1) for point in one["points"]]
+    points = [(number, one.support, point) for number, one in enumerate(supports, 1) for point in one.points]
     unknown: Any = 3 * (None,)
     rows = [
-        (*whose, *one["at_mm"], *in_3d(one["force_N"] or unknown), *in_3d(one["place_mm"]), one.get("point"))
+        (*whose, *one.at_mm, *in_3d(tuple(one.force_N or unknown)), *in_3d(tuple(one.place_mm)), one.point)
         for *whose, one in points
     ]
     return ("support_number", "support", "x_mm", "y_mm", *columns, "point"), rows
@@ -159,25 +165,37 @@ def pushes_of(solution: CurtainSolution, number: int) -> Array:
     return padded(walls.take(own).nodal(solution.wall_forces[own]))
 
 
-def obstacle_summary(steps: Sequence[CurtainSolution]) -> dict[str, Any]:
+def obstacle_forces(steps: Sequence[CurtainSolution]) -> tuple[ObstacleForce, ...]:
     """Of each obstacle the force on the curtain in N and how many nodes touch it at full load, and over the load steps
-    forces and displacements, mm; residuals of the rounds."""
+    forces and displacements, mm."""
     last, obstacles = steps[-1].problem, []
     for number, item in enumerate(last.scene.obstacle):
         push, way = [pushes_of(step, number) for step in steps], float(np.linalg.norm(item.move))
         touching = np.linalg.norm(push[-1], axis=1) > TOUCHES * float(np.abs(last.force).sum())
-        curve = [
-            {"displacement_mm": step.problem.factor * way, "reaction_N": one.sum(axis=0).tolist()}
+        curve = tuple(
+            ObstacleStep(displacement_mm=step.problem.factor * way, reaction_N=one.sum(axis=0).tolist())
             for step, one in zip(steps, push, strict=True)
-        ]
-        line = {"obstacle": item.name, "kind": item.kind, "nodes_touched": int(np.count_nonzero(touching))}
-        obstacles.append(line | curve[-1] | {"steps": curve})
-    found: dict[str, Any] = {"obstacles": obstacles} if obstacles else {}
-    if (settling := steps[-1].settling) is not None:
-        names = ("rounds", "misfit", "complementarity", "asked", "smoothing")
-        residuals = {name: getattr(settling, name) for name in names}
-        found["settling"] = residuals | {"penetration_between_nodes_mm": settling.between_nodes_mm}
-    return found
+        )
+        touched = int(np.count_nonzero(touching))
+        line = ObstacleForce(
+            obstacle=item.name, kind=item.kind, nodes_touched=touched, **curve[-1].parts(), steps=curve
+        )
+        obstacles.append(line)
+    return tuple(obstacles)
+
+
+def settling_of(solution: CurtainSolution) -> Rounds | None:
+    """Residuals of the rounds of a shape with bodies or wind."""
+    if (one := solution.settling) is None:
+        return None
+    return Rounds(
+        rounds=one.rounds,
+        misfit=one.misfit,
+        complementarity=one.complementarity,
+        asked=one.asked,
+        smoothing=one.smoothing,
+        penetration_between_nodes_mm=one.between_nodes_mm,
+    )
 
 
 def pulls(solution: CurtainSolution) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ it, in the reference state, that has this area: a disk inside, half a disk on an
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -18,6 +18,7 @@ from macro_fem.curtain import CurtainSolution
 from macro_fem.fem.cells import signed_areas
 from macro_fem.judged.forces import PointForce
 from macro_fem.scene.loads import disk_areas
+from macro_fem.summary import LineLoads
 from rve.common import Array, Index
 
 WIDEST = 2.5
@@ -43,18 +44,18 @@ class Extreme(NamedTuple):
     force: PointForce | None = None
 
 
-def judge_line_loads(solution: CurtainSolution) -> dict[str, Any]:
+def judge_line_loads(solution: CurtainSolution) -> LineLoads:
     """The largest line loads for summary.json; averages are None for a law that has no cell."""
     cell, peak = solution.problem.law.cell, largest(solution)
     area = None if cell is None else cell.b_x_mm * cell.b_y_mm
     mean = None if area is None else largest_mean(solution, area)
-    return {
-        "max_principal_line_load_N_per_mm": peak.value,
-        "max_principal_line_load_at_mm": peak.at.tolist(),
-        "max_line_load_over_a_cell_N_per_mm": None if mean is None else mean.value,
-        "max_line_load_over_a_cell_at_mm": None if mean is None else mean.at.tolist(),
-        "line_load_averaged_over_mm2": area,
-    }
+    return LineLoads(
+        max_principal_line_load_N_per_mm=peak.value,
+        max_principal_line_load_at_mm=peak.at.tolist(),
+        max_line_load_over_a_cell_N_per_mm=None if mean is None else mean.value,
+        max_line_load_over_a_cell_at_mm=None if mean is None else mean.at.tolist(),
+        line_load_averaged_over_mm2=area,
+    )
 
 
 def largest(solution: CurtainSolution) -> Extreme:

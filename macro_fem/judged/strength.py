@@ -15,8 +15,7 @@ from the point. It is the largest average of the continuous curtain if all of f 
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict
-from typing import Any
+from dataclasses import fields
 
 import numpy as np
 import shapely
@@ -28,6 +27,7 @@ from macro_fem.judged.forces import TOUCHES, PointForce, first_of_largest, point
 from macro_fem.judged.line_load import FINE, Extreme, Nearby
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import Bar, EdgeLoad
+from macro_fem.summary import RingStrength, Utilisation
 from rve import pulled_ring
 from rve.common import Array, InputError, digits
 from rve.common.tensor import dyad, eigenvalues
@@ -45,13 +45,6 @@ SHARPEST = np.pi / 6.0
 NONE = Extreme(0.0, np.full(2, np.nan))
 UNLOADED = 1e-9
 """Utilisations up to which nothing is loaded: rounding leaves 1e-12 of a curtain without load."""
-KEYS = (
-    *("utilisation_max", "utilisation_max_at_mm", "utilisation_pointwise_max", "utilisation_of_averages_max"),
-    *("utilisation_of_point_forces_max", "utilisation_of_hook_rings_max", "ring_at_hook"),
-    "utilisation_too_low",
-    *("safety_factor", "collapse_factor", "first_yield_near", "first_yield_distance_mm"),
-)
-"""Keys of summary.json that are null where the strength is not known."""
 TOO_COARSE = (
     "the mesh is too coarse at {}: triangles there have sides of some {} mm, and the factor of the rings falls with "
     "refinement until they have at most {} mm{}"
@@ -71,24 +64,26 @@ MEANING = (
 )
 
 
-def judge_strength(solution: CurtainSolution) -> dict[str, Any]:
-    """Utilisation, factors, place and material for summary.json; None, with a reason, where they are not known."""
+def judge_strength(solution: CurtainSolution) -> RingStrength:
+    """Utilisation, factors, place and material; None, with a reason, where they are not known."""
     law = solution.problem.law
     known, by = strength_of_law(law.own), judged_by(law)
-    found: dict[str, Any] = dict.fromkeys(KEYS)
-    if not isinstance(by, str):
-        found, by = _numbers(solution, *by), MEANING
-    return found | {
-        "ring_material": None if known is None else known.material.name,
-        "ring_yield_N_per_mm2": None if known is None else known.material.yield_N_per_mm2,
-        "material": None if known is None else asdict(known.material),
-        "ring_joint": None if known is None else known.joint,
-        "strength_note": by,
-    }
+    if isinstance(by, str):
+        found = Utilisation(**dict.fromkeys(one.name for one in fields(Utilisation)))
+    else:
+        found, by = _utilisation(solution, *by), MEANING
+    return RingStrength(
+        **found.parts(),
+        ring_material=None if known is None else known.material.name,
+        ring_yield_N_per_mm2=None if known is None else known.material.yield_N_per_mm2,
+        material=None if known is None else known.material,
+        ring_joint=None if known is None else known.joint,
+        strength_note=by,
+    )
 
 
-def _numbers(solution: CurtainSolution, known: Strength, cell: CellInfo) -> dict[str, Any]:
-    """The values of `KEYS` where the strength is known, by what first yield and collapse ask of mesh and rings."""
+def _utilisation(solution: CurtainSolution, known: Strength, cell: CellInfo) -> Utilisation:
+    """Where the strength is known, by what first yield and collapse ask of mesh and rings."""
     near, first, last = _largest_asked(solution, known, cell)
     mean, points, hook = first
     pointwise = known.utilisation(near.P)
@@ -98,20 +93,20 @@ def _numbers(solution: CurtainSolution, known: Strength, cell: CellInfo) -> dict
     too_low += [EXTRAPOLATED.format(off, len(near.P))] * bool(off)
     name, distance = nearest(solution, most.at) if most.force is None else (most.force.name, 0.0)
     is_loaded = most.value > UNLOADED
-    return {
-        "utilisation_max": most.value,
-        "utilisation_max_at_mm": most.at.tolist(),
-        "utilisation_pointwise_max": float(pointwise.max()),
-        "utilisation_of_averages_max": mean.value,
-        "utilisation_of_point_forces_max": points.value,
-        "utilisation_of_hook_rings_max": hook.value,
-        "ring_at_hook": f"ring at {hook.force.place}" if hook.force else None,
-        "utilisation_too_low": "; ".join(filter(None, too_low)) or None,
-        "safety_factor": 1.0 / most.value if is_loaded else None,
-        "collapse_factor": 1.0 / collapse.value if is_loaded else None,
-        "first_yield_near": name if is_loaded else None,
-        "first_yield_distance_mm": distance if is_loaded else None,
-    }
+    return Utilisation(
+        utilisation_max=most.value,
+        utilisation_max_at_mm=most.at.tolist(),
+        utilisation_pointwise_max=float(pointwise.max()),
+        utilisation_of_averages_max=mean.value,
+        utilisation_of_point_forces_max=points.value,
+        utilisation_of_hook_rings_max=hook.value,
+        ring_at_hook=f"ring at {hook.force.place}" if hook.force else None,
+        utilisation_too_low="; ".join(filter(None, too_low)) or None,
+        safety_factor=1.0 / most.value if is_loaded else None,
+        collapse_factor=1.0 / collapse.value if is_loaded else None,
+        first_yield_near=name if is_loaded else None,
+        first_yield_distance_mm=distance if is_loaded else None,
+    )
 
 
 def _too_coarse(

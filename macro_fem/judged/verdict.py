@@ -1,21 +1,24 @@
 """What gives first in a curtain: the mesh, the ring at a hook or the hook itself; the verdict, and the load combination
 that governs it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from macro_fem.judged.forces import support_rows
 from macro_fem.judged.strength import UNLOADED
 from macro_fem.scene.tables import Combination
+from macro_fem.summary import (
+    CombinationRow,
+    CurtainNumbers,
+    Decision,
+    Envelope,
+    LargestForce,
+    SupportForce,
+    Utilisation,
+)
 from rve.common import digits
-
-JUDGED = ("safety_factor", "weakest", "weakest_factor", "weakest_place", "utilisation_too_low")
-"""Keys of a summary that combinations of loads are judged by."""
-UTILISATIONS = tuple(f"utilisation_of_{what}_max" for what in ("averages", "point_forces", "hook_rings"))
-"""Keys of what is asked of the mesh, by averages and by forces at points, and of the rings at hooks."""
 
 
 class Link(NamedTuple):
@@ -28,29 +31,34 @@ class Link(NamedTuple):
     place: str = ""
 
 
-def links(summary: dict[str, Any]) -> list[Link]:
+def asked_of_rings(summary: Utilisation) -> tuple[float, float, float]:
+    """Utilisation of the mesh, by averages and by forces at points, and of the rings at hooks; 0 if not known."""
+    averages, points = summary.utilisation_of_averages_max, summary.utilisation_of_point_forces_max
+    return averages or 0.0, points or 0.0, summary.utilisation_of_hook_rings_max or 0.0
+
+
+def links(summary: CurtainNumbers) -> list[Link]:
     """The links of a curtain that are loaded and whose strength is known, the weakest first."""
-    averages, points, ring = (summary[key] or 0.0 for key in UTILISATIONS)
-    mesh, found = max(averages, points), []
+    averages, points, ring = asked_of_rings(summary)
+    at, mesh, found = summary.utilisation_max_at_mm or (), max(averages, points), list[Link]()
     if mesh > UNLOADED:
         text, place = "the mesh", ""
         if mesh >= ring:
-            near, distance = summary["first_yield_near"], summary["first_yield_distance_mm"]
-            place = _place(summary["utilisation_max_at_mm"], f"{_from(distance)} {near}")
+            place = _place(at, f"{_from(summary.first_yield_distance_mm or 0.0)} {summary.first_yield_near}")
             text = f"rings {place}"
         found.append(Link(1.0 / mesh, "mesh", text, place))
     if ring > UNLOADED:
-        place = _place(summary["utilisation_max_at_mm"]) if ring > mesh else ""
-        found.append(Link(1.0 / ring, summary["ring_at_hook"], f"the {summary['ring_at_hook']}", place))
-    supports = summary["support_forces"]
+        place = _place(at) if ring > mesh else ""
+        found.append(Link(1.0 / ring, summary.ring_at_hook or "ring", f"the {summary.ring_at_hook}", place))
+    supports = summary.support_forces
     for number, support in enumerate(supports, 1):
-        capacity, force = support.get("capacity_N"), support["largest_nodal_force_N"]
+        capacity, force = support.capacity_N, support.largest_nodal_force_N
         if capacity is not None and force > UNLOADED * capacity:
-            kind = "runner" if support["support"] == "track" else support["support"].removesuffix("s")
+            kind = "runner" if support.support == "track" else support.support.removesuffix("s")
             of = f" of support {number}" if len(supports) > 1 else ""
             text = f"{kind}s of support {number} bear up to {digits(force, 4)} N of {capacity:g} N"
-            most = max(support["points"], key=lambda one: np.linalg.norm(one["force_N"]), default=None)
-            place = _place(most["at_mm"], f"{most['point']}{of}") if most else ""
+            most = max(support.points, key=lambda one: one.size_N, default=None)
+            place = _place(most.at_mm, f"{most.point}{of}") if most else ""
             found.append(Link(capacity / force, f"{kind} capacity{of}", text, place))
     return sorted(found)
 
@@ -66,57 +74,75 @@ def _from(distance: float) -> str:
     return "at" if distance < 0.05 else f"{digits(distance)} mm from"
 
 
-def governing(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """What a reader decides by: whether the curtain holds, None where that is not known, under which combination (None
-    without any), by which factor, why that may be less, what gives first and where; the largest force of a single point
-    under any of them."""
-    worst, rows = summary.get("envelope", summary), summary.get("combinations", ())
-    factor, is_solved = worst["weakest_factor"], summary["status"] == "converged"
-    own = max((one["largest_nodal_force_N"] for one in summary["support_forces"]), default=0.0)
+def largest_force(supports: Sequence[SupportForce]) -> float:
+    """The largest force of a single point, N."""
+    return max((one.largest_nodal_force_N for one in supports), default=0.0)
+
+
+def judge(summary: CurtainNumbers, rows: Sequence[CombinationRow] = (), most: Envelope | None = None) -> Decision:
+    """What a reader decides by: whether the curtain holds, None where that is not known, under which combination of the
+    `rows` (None without any), by which factor, why that may be less, what gives first and where; the largest force of
+    a single point under any of them. most: the envelope of the rows."""
+    worst, is_solved = most or summary, summary.status == "converged"
+    factor = worst.weakest_factor
+    return Decision(
+        holds=None if factor is None or not is_solved else factor >= 1.0,
+        governing_factor=factor,
+        governing_note=worst.utilisation_too_low,
+        governing_combination=None if most is None else most.governing,
+        governing_link=worst.weakest,
+        governing_place=worst.weakest_place,
+        governing_force_N=max((row.largest_force_N for row in rows), default=largest_force(summary.support_forces)),
+    )
+
+
+def combination_rows(answers: Sequence[tuple[Combination, CurtainNumbers]]) -> tuple[CombinationRow, ...]:
+    """Of each combination its factors, how its answer ended, and what gives first."""
+    return tuple(
+        CombinationRow(
+            name=combination.name,
+            factors={item.name: vars(combination)[item.name] for item in fields(combination)[1:]},
+            largest_force_N=largest_force(summary.support_forces),
+            status=summary.status,
+            message=summary.message,
+            **_judged(summary),
+        )
+        for combination, summary in answers
+    )
+
+
+def _judged(of: CurtainNumbers | CombinationRow) -> dict[str, Any]:
+    """What combinations of loads are judged by."""
     return {
-        "holds": None if factor is None or not is_solved else factor >= 1.0,
-        "governing_factor": factor,
-        "governing_note": worst["utilisation_too_low"],
-        "governing_combination": worst.get("governing"),
-        "governing_link": worst["weakest"],
-        "governing_place": worst["weakest_place"],
-        "governing_force_N": max((row["largest_force_N"] for row in rows), default=own),
+        "safety_factor": of.safety_factor,
+        "weakest": of.weakest,
+        "weakest_factor": of.weakest_factor,
+        "weakest_place": of.weakest_place,
+        "utilisation_too_low": of.utilisation_too_low,
     }
 
 
-def envelope(found: Sequence[tuple[Combination, Mapping[str, Any]]]) -> dict[str, Any]:
-    """What summary.json says of combinations, from their summaries: factors, status and what gives first of each; which
-    one governs, by the least factor (by the largest force of a single point where the strength of the rings is not
-    known); for each held point the largest force of all and the combination that asks for it."""
-    rows: list[dict[str, Any]] = [
-        {
-            "name": combination.name,
-            "factors": {item.name: getattr(combination, item.name) for item in fields(combination)[1:]},
-            "largest_force_N": max((one["largest_nodal_force_N"] for one in summary["support_forces"]), default=0.0),
-        }
-        | {key: summary[key] for key in ("status", "message", *JUDGED)}
-        for combination, summary in found
-    ]
-    worst = max(rows, key=lambda row: row["largest_force_N"])
-    if known := [row for row in rows if row["weakest_factor"] is not None]:  # others may be without load
-        worst = min(known, key=lambda row: row["weakest_factor"])
-    points: dict[tuple[Any, ...], dict[str, Any]] = {}  # by places: each combination may have refined its own mesh
-    sums: dict[int, dict[str, Any]] = {}
-    for combination, summary in found:
-        for row in support_rows(summary["support_forces"])[1]:
-            own = dict(zip(("support_number", "support", "x_mm", "y_mm"), row, strict=False))
-            own |= {"force_N": float(np.linalg.norm(row[4:7])), "combination": combination.name, "point": row[-1]}
-            place = row[0], *np.round(row[2:4], 6)
-            points[place] = max(points.get(place, own), own, key=lambda one: one["force_N"])
-        for number, one in enumerate(summary["support_forces"], 1):
-            size = float(np.linalg.norm(one["force_N"]))
-            own = {
+def envelope(answers: Sequence[tuple[Combination, CurtainNumbers]]) -> Envelope:
+    """Which combination governs, by the least factor (by the largest force of a single point where the strength of the
+    rings is not known); for each held point the largest force of all and the combination that asks for it."""
+    rows = combination_rows(answers)
+    known = [row for row in rows if row.weakest_factor is not None]  # others may be without load
+    worst = min(known or rows, key=lambda row: row.weakest_factor if known else -row.largest_force_N)
+    points: dict[tuple[Any, ...], LargestForce] = {}  # by places: each combination may have refined its own mesh
+    sums: dict[int, LargestForce] = {}
+    for combination, summary in answers:
+        for number, support in enumerate(summary.support_forces, 1):
+            named: dict[str, Any] = {
                 "support_number": number,
-                "support": one["support"],
-                "force_N": size,
+                "support": support.support,
                 "combination": combination.name,
             }
-            sums[number] = max(sums.get(number, own), own, key=lambda one: one["force_N"])
-    told = {"governing": worst["name"]} | {key: worst[key] for key in JUDGED}
-    forces = {"support_forces": list(points.values()), "support_sums": list(sums.values())}
-    return {"combinations": rows, "envelope": told | forces}
+            total = LargestForce(**named, force_N=float(np.linalg.norm(support.force_N)))
+            sums[number] = max(sums.get(number, total), total, key=lambda one: one.force_N)
+            for one in support.points:
+                x, y = one.at_mm[:2]
+                own = LargestForce(**named, x_mm=x, y_mm=y, force_N=one.size_N, point=one.point)
+                place = number, round(x, 6), round(y, 6)
+                points[place] = max(points.get(place, own), own, key=lambda one: one.force_N)
+    each, whole = tuple(points.values()), tuple(sums.values())
+    return Envelope(governing=worst.name, **_judged(worst), support_forces=each, support_sums=whole)

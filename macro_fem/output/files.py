@@ -1,88 +1,87 @@
 """What summary.json says of a solved curtain, with bounds and interval, and curtain.vtu."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from macro_fem.bounds.interval import CurtainBounds
-from macro_fem.curtain import CurtainProblem, CurtainSolution, forces_by, forces_note, wind_summary
+from macro_fem.curtain import CurtainProblem, CurtainSolution, forces_by, forces_note, wind_drags
 from macro_fem.fem.cells import counterclockwise, padded
 from macro_fem.judged import judge_line_loads, judge_strength, links, support_forces, utilisation
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.tables import Bar, LiveLoad
+from macro_fem.summary import Bounds, BoundsOfPotential, CurtainNumbers, Feature, RingSizes, WeaveOfLaw
 from rve.common import Array, versions
 from rve.common.factor import linear_solver
 from rve.geometry import CellInfo
 
 
-def summarize(solution: CurtainSolution) -> dict[str, Any]:
+def summarize(solution: CurtainSolution) -> CurtainNumbers:
     """The numbers of a solution: lengths in mm, forces in N, line loads in N per mm of reference length, heights along
     y, potentials -sum force . displacement in N mm."""
     problem = solution.problem
     disc = problem.disc
-    area, x = disc.cell_area, solution.x
+    area, x, in_space = disc.cell_area, solution.x, problem.fem.d == 3
     parts = np.bincount(solution.state(), weights=area, minlength=3) / area.sum()
     per_area = areal_mass(problem.scene, problem.law.cell)
-    told, forces, in_space = judge_strength(solution), support_forces(solution), {}
-    least = next(iter(links(told | {"support_forces": forces})), None)  # of what is known and loaded
-    if problem.fem.d == 3:
-        in_space = {
-            "lowest_point_at_mm": x[x[:, 1].argmin()].tolist(),
-            "out_of_plane_mm": float(np.abs(x[:, 2]).max()),
-            "centre_of_gravity_mm": solution.mean_place().tolist(),
-        }
-    return {
-        "status": solution.status,
-        "message": solution.message,
-        "notes": list(problem.mesh.notes),
-        "mean_height_mm": solution.mean_height(),
-        "lowest_point_mm": float(x[:, 1].min()),
-        **in_space,
-        "lean_mm": solution.lean(),
-        "max_displacement_mm": float(np.linalg.norm(solution.displacement, axis=1).max()),
-        **judge_line_loads(solution),
-        **told,
-        "weakest": least and least.name,
-        "weakest_factor": least and least.factor,
-        "weakest_place": least and least.place,
-        "total_load_N": problem.force.sum(axis=0).tolist(),
-        "support_forces": forces,
-        "forces_by": forces_by(solution),
-        "support_forces_note": forces_note(solution),
-        "single_forces_note": None,
-        "potential_primal_N_mm": solution.primal,
-        "potential_dual_N_mm": solution.dual,
-        "relative_gap": solution.relative_gap,
-        "residual": solution.residual,
-        "stretch_beyond_locking": solution.stretch_excess,
-        "iterations": solution.iterations,
-        "cells": disc.n_cells,
-        "dofs": int(problem.fem.n),
-        "element": disc.element,
-        "pattern": problem.mesh.pattern,
-        "linear_solver": linear_solver(),
-        "law": problem.law.name,
-        "hang_deg": problem.scene.curtain.weave_angle,
-        **rings(problem.law.cell),
-        **wind_summary(solution),
-        "areal_mass_kg_per_m2": per_area,
-        "mass_kg": per_area * PER_MM2 * float(area.sum()),
-        "taut_area_fraction": float(parts[2]),
-        "wrinkled_area_fraction": float(parts[1]),
-        "slack_area_fraction": float(parts[0]),
-        "wall_s": solution.wall_s,
-        "versions": versions("scikit-fem", "scikit-sparse"),
-    }
+    found = CurtainNumbers(
+        status=solution.status,
+        message=solution.message,
+        notes=list(problem.mesh.notes),
+        mean_height_mm=solution.mean_height(),
+        lowest_point_mm=float(x[:, 1].min()),
+        lowest_point_at_mm=x[x[:, 1].argmin()].tolist() if in_space else None,
+        out_of_plane_mm=float(np.abs(x[:, 2]).max()) if in_space else None,
+        centre_of_gravity_mm=solution.mean_place().tolist() if in_space else None,
+        lean_mm=solution.lean(),
+        max_displacement_mm=float(np.linalg.norm(solution.displacement, axis=1).max()),
+        **judge_line_loads(solution).parts(),
+        **judge_strength(solution).parts(),
+        weakest=None,
+        weakest_factor=None,
+        weakest_place=None,
+        total_load_N=problem.force.sum(axis=0).tolist(),
+        support_forces=support_forces(solution),
+        forces_by=forces_by(solution),
+        support_forces_note=forces_note(solution),
+        single_forces_note=None,
+        potential_primal_N_mm=solution.primal,
+        potential_dual_N_mm=solution.dual,
+        relative_gap=solution.relative_gap,
+        residual=solution.residual,
+        stretch_beyond_locking=solution.stretch_excess,
+        iterations=solution.iterations,
+        cells=disc.n_cells,
+        dofs=int(problem.fem.n),
+        element=disc.element,
+        pattern=problem.mesh.pattern,
+        linear_solver=linear_solver(),
+        law=problem.law.name,
+        **weave_of(problem.law.cell, problem.scene.curtain.weave_angle).parts(),
+        wind=wind_drags(solution) or None,
+        areal_mass_kg_per_m2=per_area,
+        mass_kg=per_area * PER_MM2 * float(area.sum()),
+        taut_area_fraction=float(parts[2]),
+        wrinkled_area_fraction=float(parts[1]),
+        slack_area_fraction=float(parts[0]),
+        wall_s=solution.wall_s,
+        versions=versions("scikit-fem", "scikit-sparse"),
+    )
+    least = next(iter(links(found)), None)  # of what is known and loaded
+    if least is None:
+        return found
+    return replace(found, weakest=least.name, weakest_factor=least.factor, weakest_place=least.place)
 
 
-def rings(cell: CellInfo | None) -> dict[str, Any]:
-    """Radii, weave and reference cell of the law, without areal mass and material, which a scene may replace."""
+def weave_of(cell: CellInfo | None, hang_deg: float) -> WeaveOfLaw:
+    """Radii, weave and reference cell of a law, without areal mass and material, which a scene may replace."""
     if cell is None:
-        return dict.fromkeys(("rings", "weave", "grain", "reference_cell"))
-    sizes = {key: value for key, value in asdict(cell).items() if key.endswith("_mm")}
-    return {"rings": sizes, "weave": cell.weave, "grain": cell.grain, "reference_cell": cell.reference}
+        return WeaveOfLaw(hang_deg=hang_deg, rings=None, weave=None, grain=None, reference_cell=None)
+    sizes = RingSizes(r1_mm=cell.r1_mm, r2_mm=cell.r2_mm, b_x_mm=cell.b_x_mm, b_y_mm=cell.b_y_mm)
+    named = {"weave": cell.weave, "grain": cell.grain, "reference_cell": cell.reference}
+    return WeaveOfLaw(hang_deg=hang_deg, rings=sizes, **named)
 
 
 def is_mean_height(problem: CurtainProblem) -> bool:
@@ -92,39 +91,46 @@ def is_mean_height(problem: CurtainProblem) -> bool:
     return is_down and not problem.scene.of(LiveLoad) and bool(np.abs(problem.force).sum() > 0.0)
 
 
-def bounds_summary(bounds: CurtainBounds) -> dict[str, Any]:
+def bounds_summary(bounds: CurtainBounds) -> BoundsOfPotential:
     """Bounds of the potential of the continuous curtain, N mm, and of the mean height where weight is the only load."""
     solution, problem = bounds.solution, bounds.solution.problem
     total, mean = float(np.abs(problem.force).sum()), solution.mean_height()
-    return {
-        "status": bounds.status,
-        "cells": problem.disc.n_cells,
-        "upper_N_mm": bounds.upper,
-        "lower_N_mm": bounds.lower,
-        "gap_N_mm": bounds.gap,
-        "gap_over_load_times_height": bounds.gap / (total * problem.mesh.height) if total > 0.0 else 0.0,
-        "part_of_gap_due_to_points_N_mm": bounds.points,
-        "wall_s": solution.wall_s + bounds.wall_s,
-    } | ({"mean_height_mm": [mean - bounds.gap / total, mean]} if is_mean_height(problem) else {})
+    return BoundsOfPotential(
+        status=bounds.status,
+        cells=problem.disc.n_cells,
+        upper_N_mm=bounds.upper,
+        lower_N_mm=bounds.lower,
+        gap_N_mm=bounds.gap,
+        gap_over_load_times_height=bounds.gap / (total * problem.mesh.height) if total > 0.0 else 0.0,
+        part_of_gap_due_to_points_N_mm=bounds.points,
+        wall_s=solution.wall_s + bounds.wall_s,
+        mean_height_mm=[mean - bounds.gap / total, mean] if is_mean_height(problem) else None,
+    )
 
 
-def interval_summary(bounds: CurtainBounds) -> dict[str, Any]:
-    """The interval of the mean height, mm, or of the potential, N mm, and its parts; that of the law is None where the
-    law has no rows: then the interval is that of the law, not of the rings."""
-    problem, law = bounds.solution.problem, bounds.law_part
-    what, unit, per, ends = "potential", "N_mm", 1.0, [bounds.lower, bounds.upper]
-    if is_mean_height(problem):
-        what, unit, per = "mean_height", "mm", float(np.abs(problem.force).sum())
-        ends = bounds_summary(bounds)["mean_height_mm"]
-    return {
-        f"{what}_interval_{unit}": ends,
-        f"law_part_{unit}": None if law is None else law / per,
-        f"mesh_part_{unit}": (bounds.gap - (law or 0.0)) / per,
-    }
+def interval_summary(levels: Sequence[CurtainBounds]) -> Bounds:
+    """Bounds of each level; the interval of the mean height, mm, or of the potential, N mm, by the last one, and its
+    parts; that of the law is None where the law has no rows: then the interval is that of the law, not of the rings."""
+    last, lines = levels[-1], tuple(bounds_summary(level) for level in levels)
+    problem, law = last.solution.problem, last.law_part
+    mesh = last.gap - (law or 0.0)
+    if not is_mean_height(problem):
+        ends = [last.lower, last.upper]
+        return Bounds(
+            bounds=lines[-1], levels=lines, potential_interval_N_mm=ends, law_part_N_mm=law, mesh_part_N_mm=mesh
+        )
+    total = float(np.abs(problem.force).sum())
+    return Bounds(
+        bounds=lines[-1],
+        levels=lines,
+        mean_height_interval_mm=lines[-1].mean_height_mm,
+        law_part_mm=None if law is None else law / total,
+        mesh_part_mm=mesh / total,
+    )
 
 
-def features(solution: CurtainSolution, *, bounds: bool) -> list[dict[str, Any]]:
-    """Rows of feature, used and why; `bounds`: whether the curtain was bounded."""
+def features(solution: CurtainSolution, *, bounds: bool) -> tuple[Feature, ...]:
+    """What was used and why; `bounds`: whether the curtain was bounded."""
     problem, settling = solution.problem, solution.settling
     scene = problem.scene
     ties = ["a bar keeps an edge straight"] * any(bar.straight for bar in scene.of(Bar))
@@ -141,7 +147,7 @@ def features(solution: CurtainSolution, *, bounds: bool) -> list[dict[str, Any]]
         rows.append(("elastic-forces", *solution.second_step))
     asked = "[solver] bounds or adapt, or rings on demand" if scene.solver.is_bounded else "not asked for"
     rows.append(("bounds", bounds, f"{asked}: a second, equilibrated solution and an error map"))
-    return [{"feature": name, "used": used, "why": why} for name, used, why in rows]
+    return tuple(Feature(feature=name, used=used, why=why) for name, used, why in rows)
 
 
 def collection(entries: Sequence[tuple[float, int, str]]) -> str:

@@ -1,6 +1,6 @@
 """Pictures of solved curtains; plot functions take a solution and axes, and return the axes."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -80,7 +80,7 @@ Drawings = dict[str, Callable[[Path], object]]
 
 
 def draw_all(
-    folder: str | Path, record_name: str, record: dict[str, Any], drawings: Drawings,
+    folder: str | Path, record_name: str, record: Mapping[str, Any], drawings: Drawings,
     inputs: Sequence[AnyPath | None] = (),
 ) -> None:  # fmt: skip
     """Make pictures of a result whose data are in place in `folder`; files with a folder of their own go there.

@@ -4,9 +4,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from macro_fem.judged import UTILISATIONS, links, spot_loads
+from macro_fem.judged import asked_of_rings, links, spot_loads
+from macro_fem.ring_summary import EveryRingSummary
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, Wind
+from macro_fem.summary import CombinationRow, CurtainNumbers, CurtainSummary, Envelope, Order
 from rve.common import digits
 
 OF_FORCE = (
@@ -20,25 +22,25 @@ LEANS = 0.02
 """Share of the height from which a lean to a side is told."""
 
 
-def holds_line(summary: dict[str, Any]) -> str:
+def holds_line(summary: CurtainNumbers) -> str:
     """Whether the curtain holds, in one line: the factor, what gives first, what the other links bear."""
-    found, too_low = links(summary), summary["utilisation_too_low"]
+    found, too_low = links(summary), summary.utilisation_too_low
     least = found[0].factor if found else float("inf")
     if least < 1.0:
         parts = [f"does not hold, factor {digits(least)}"]
-    elif summary["strength_note"] is not None and summary["utilisation_of_averages_max"] is None:
-        parts = [f"strength of the rings not known: {summary['strength_note']}"]
+    elif summary.strength_note is not None and summary.utilisation_of_averages_max is None:
+        parts = [f"strength of the rings not known: {summary.strength_note}"]
     else:
         room = any(link.factor < ROOM and "capacity" not in link.name for link in found)
         ask = f" (ask for {ROOM:g}: rings next to hooks may bear so many times their estimate)" if room else ""
         parts = [f"holds with a factor {'of at most ' if too_low else ''}{digits(least)}{ask}" if found else "no load"]
     for number, link in enumerate(found):
-        material = f"({summary['ring_material']}, {summary['ring_yield_N_per_mm2'] or 0.0:g} N/mm2)"
+        material = f"({summary.ring_material}, {summary.ring_yield_N_per_mm2 or 0.0:g} N/mm2)"
         verb = "yields" if link.text.startswith("the ") else "yield"
         of_rings = f"would yield first {material}" if not number else f"{verb} at {digits(link.factor)} times the load"
         place = f", {link.place}" if link.place and link.name != "mesh" else ""
         parts.append(f"{link.text if 'capacity' in link.name else f'{link.text} {of_rings}'}{place}")
-    averages, points, _ = (summary[key] or 0.0 for key in UTILISATIONS)
+    averages, points, _ = asked_of_rings(summary)
     if too_low:
         parts.append(too_low)
     if found and points > averages:
@@ -59,29 +61,30 @@ def default_law_lines(given: Path | None) -> list[str]:
     return [f"no --law: {rings}, {law.strength.material.name} unless the scene has a [material]"]
 
 
-def curtain_lines(summary: dict[str, Any], out: Path, *, explain: bool) -> Iterator[str]:
+def curtain_lines(summary: CurtainSummary, out: Path, *, explain: bool) -> Iterator[str]:
     """How a curtain ended, its numbers, what to order, and whether it holds; `explain`: what was used and left out."""
-    yield f"{summary['status']}: {summary['message']}"
-    yield from summary["notes"]
-    yield f"{_heights(summary)}, largest line load {digits(summary['max_principal_line_load_N_per_mm'], 4)} N/mm"
-    sizes = f"{summary['cells']} cells, {summary['dofs']} unknowns, {summary['iterations']} iterations"
-    yield f"{sizes}, {summary['wall_s']:.2f} s; written to {out}"
+    yield f"{summary.status}: {summary.message}"
+    yield from summary.notes
+    heights = _heights(summary.mean_height_mm, summary.lowest_point_mm, summary.out_of_plane_mm)
+    yield f"{heights}, largest line load {digits(summary.max_principal_line_load_N_per_mm, 4)} N/mm"
+    sizes = f"{summary.cells} cells, {summary.dofs} unknowns, {summary.iterations} iterations"
+    yield f"{sizes}, {summary.wall_s:.2f} s; written to {out}"
     yield from hooks_lines(summary)
-    yield from order_lines(summary["order"])
-    if summary["status"] == "converged":
+    yield from order_lines(summary.order)
+    if summary.status == "converged":
         yield f"{'without the factors of combinations: ' * ('envelope' in summary)}{holds_line(summary)}"
-        yield from filter(None, [summary["support_forces_note"], summary["single_forces_note"], lean_note(summary)])
+        yield from filter(None, [summary.support_forces_note, summary.single_forces_note, lean_note(summary)])
     yield from combination_lines(summary)
-    if "bounds" in summary:
+    if summary.bounds is not None:
         yield interval_line(summary)
     if explain:
-        for row in summary["features"]:
-            yield f"{row['feature']:<16} {'used' if row['used'] else 'left out':<9} {row['why']}"
+        for row in summary.features:
+            yield f"{row.feature:<16} {'used' if row.used else 'left out':<9} {row.why}"
 
 
-def lean_note(summary: dict[str, Any]) -> str | None:
+def lean_note(summary: CurtainSummary) -> str | None:
     """That the curtain leans to a side, and how far; None where it hardly does."""
-    lean, height = summary["lean_mm"], summary["order"]["mesh_height_mm"]
+    lean, height = summary.lean_mm, summary.order.mesh_height_mm
     if abs(lean) < LEANS * height:
         return None
     return (
@@ -90,12 +93,12 @@ def lean_note(summary: dict[str, Any]) -> str | None:
     )
 
 
-def _heights(summary: dict[str, Any]) -> str:
-    out = f", |z| up to {summary['out_of_plane_mm']:.3f} mm" if "out_of_plane_mm" in summary else ""
-    return f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm{out}"
+def _heights(mean: float, lowest: float, out: float | None = None) -> str:
+    away = "" if out is None else f", |z| up to {out:.3f} mm"
+    return f"mean height {mean:.3f} mm, lowest point {lowest:.3f} mm{away}"
 
 
-def motion_lines(summary: dict[str, Any], out: Path) -> list[str]:
+def motion_lines(summary: Mapping[str, Any], out: Path) -> list[str]:
     """How a curtain in motion ended, and its peaks."""
     return [
         f"{summary['status']}: {summary['message']}",
@@ -106,19 +109,19 @@ def motion_lines(summary: dict[str, Any], out: Path) -> list[str]:
     ]
 
 
-def every_ring_lines(summary: dict[str, Any], out: Path) -> list[str]:
+def every_ring_lines(summary: EveryRingSummary, out: Path) -> list[str]:
     """How a curtain solved ring by ring ended, and its numbers."""
-    left = f"supports are up to {summary['way_left_mm']:.3f} mm from their places"
-    if summary["status"] != "out-of-reach":
-        largest, residual = summary["largest_contact_force_N"], summary["kkt_residual"]
+    left = f"supports are up to {summary.way_left_mm:.3f} mm from their places"
+    largest, residual = summary.largest_contact_force_N, summary.kkt_residual
+    if largest is not None and residual is not None:
         left = f"largest contact force {digits(largest, 4)} N, residual {residual:.1e}"
-    gap = f"smallest gap {summary['min_gap_mm']:.1e} mm, {summary['iterations']} iterations"
+    gap = f"smallest gap {summary.min_gap_mm:.1e} mm, {summary.iterations} iterations"
     return [
-        f"{summary['status']}: {summary['message']}",
-        *summary["notes"],
-        f"{summary['ring_count']} rings, {_heights(summary)}",
+        f"{summary.status}: {summary.message}",
+        *summary.notes,
+        f"{summary.ring_count} rings, {_heights(summary.mean_height_mm, summary.lowest_point_mm)}",
         left,
-        f"{gap}, {summary['wall_s']:.2f} s; written to {out}",
+        f"{gap}, {summary.wall_s:.2f} s; written to {out}",
     ]
 
 
@@ -138,84 +141,88 @@ def ring_field_lines(found: dict[str, Any], out: Path) -> Iterator[str]:
     yield from (f"{name}: {text}" for name, text in found["meanings"].items() if name != "met")
 
 
-def hooks_lines(summary: dict[str, Any]) -> list[str]:
+def hooks_lines(summary: CurtainNumbers) -> list[str]:
     """How far apart hooks and runners are, whether as the scene asks, and how many points count for another support."""
     lines = []
-    for one in summary["support_forces"]:
-        if "pitch_mm" in one:
-            pitch, asked = one["pitch_mm"], one["pitch_asked_mm"]
+    for one in summary.support_forces:
+        if one.pitch_mm is not None:
+            pitch, asked = one.pitch_mm, one.pitch_asked_mm
             differs = asked is not None and abs(pitch - asked) > 1e-9 * asked
             note = f"; pitch = {asked:g} does not divide the edge" if differs else ""
-            lines.append(f"{one['support']}: {one['nodes_held']}, {pitch:g} mm apart{note}")
-        if both := one["nodes_held"] - len(one["points"]):
-            lines.append(f"{one['support']}: the forces of {both} of its points count for a support before it")
+            lines.append(f"{one.support}: {one.nodes_held}, {pitch:g} mm apart{note}")
+        if both := one.nodes_held - len(one.points):
+            lines.append(f"{one.support}: the forces of {both} of its points count for a support before it")
     return lines
 
 
-def order_lines(record: dict[str, Any]) -> list[str]:
+def order_lines(order: Order) -> list[str]:
     """The order sheet in lines."""
-    mesh = f"mesh of {record['mesh_width_mm']:g} x {record['mesh_height_mm']:g} mm"
+    mesh = f"mesh of {order.mesh_width_mm:g} x {order.mesh_height_mm:g} mm"
     lines, rings = [f"order: {mesh}, width by height, pulled along its grain"], ""
-    if record["weave"] is not None:
-        across, wire, metal = 2.0 * record["r1_mm"], 2.0 * record["r2_mm"], record["material"] or "material not known"
-        lines += [f"  {record['weave']}, rings of {metal}, {across:g} mm across to the middle of a wire of {wire:g} mm"]
-        rings = f"{record['rings']} rings in {record['cells']} cells of the weave, "
-    pitch = "" if record["hook_pitch_mm"] is None else f", {record['hook_pitch_mm']:g} mm apart along the mesh"
-    lines += [f"  {rings}{digits(record['mass_kg'], 4)} kg; {record['hooks'] or 'no'} single points to hang by{pitch}"]
-    return [*lines, f"  held over {record['held_width_mm']:.1f} mm, lowest point at {record['lowest_point_mm']:.1f} mm"]
+    if order.r1_mm is not None and order.r2_mm is not None:
+        across, wire, metal = 2.0 * order.r1_mm, 2.0 * order.r2_mm, order.material or "material not known"
+        lines += [f"  {order.weave}, rings of {metal}, {across:g} mm across to the middle of a wire of {wire:g} mm"]
+        rings = f"{order.rings} rings in {order.cells} cells of the weave, "
+    pitch = "" if order.hook_pitch_mm is None else f", {order.hook_pitch_mm:g} mm apart along the mesh"
+    lines += [f"  {rings}{digits(order.mass_kg, 4)} kg; {order.hooks or 'no'} single points to hang by{pitch}"]
+    return [*lines, f"  held over {order.held_width_mm:.1f} mm, lowest point at {order.lowest_point_mm:.1f} mm"]
 
 
-def combination_lines(summary: Mapping[str, Any]) -> list[str]:
+def combination_lines(summary: CurtainSummary) -> list[str]:
     """Each combination in a line, the one that governs last."""
     lines = []
-    for row in summary.get("combinations", ()):
-        named = ", ".join(f"{value:g} {name}" for name, value in row["factors"].items() if value != 1.0)
-        ended = f"{row['status']}, largest force {digits(row['largest_force_N'], 4)} N{_factor(row)}"
-        lines.append(f"combination {row['name']} ({named or 'all loads as they are'}): {ended}")
+    for row in summary.combinations or ():
+        named = ", ".join(f"{value:g} {name}" for name, value in row.factors.items() if value != 1.0)
+        ended = f"{row.status}, largest force {digits(row.largest_force_N, 4)} N{_factor(row)}"
+        lines.append(f"combination {row.name} ({named or 'all loads as they are'}): {ended}")
     return [*lines, governing_line(summary)] if lines else []
 
 
-def _factor(row: Mapping[str, Any]) -> str:
+def _factor(row: CombinationRow | Envelope) -> str:
     """The factor of a combination, as far as it is known, and what gives first."""
-    if row["weakest_factor"] is None:
+    if row.weakest_factor is None:
         return ""
-    most = "of at most " if row["utilisation_too_low"] else ""
-    place = f", {row['weakest_place']}" if row["weakest_place"] else ""
-    return f", factor {most}{digits(row['weakest_factor'])} ({row['weakest']}{place})"
+    most = "of at most " if row.utilisation_too_low else ""
+    place = f", {row.weakest_place}" if row.weakest_place else ""
+    return f", factor {most}{digits(row.weakest_factor)} ({row.weakest}{place})"
 
 
-def governing_line(summary: Mapping[str, Any]) -> str:
+def governing_line(summary: CurtainSummary) -> str:
     """The combination that governs, and whether the curtain holds under it, as far as that is known."""
-    most = summary["envelope"]
-    factor, text = most["weakest_factor"], f"governing combination: {most['governing']}"
-    if failed := [row["name"] for row in summary["combinations"] if row["status"] != "converged"]:
+    most, rows = summary.envelope, summary.combinations
+    assert most is not None
+    assert rows is not None
+    factor, text = most.weakest_factor, f"governing combination: {most.governing}"
+    if failed := [row.name for row in rows if row.status != "converged"]:
         return f"{text}; no answer for {', '.join(failed)}"
     if factor is None:
         return text
-    force = max(row["largest_force_N"] for row in summary["combinations"])
+    force = max(row.largest_force_N for row in rows)
     held = "holds" if factor >= 1.0 else "does not hold"
     return f"{text}, {held}{_factor(most)}; largest force of a single point {digits(force, 4)} N"
 
 
-def verdict(summary: dict[str, Any]) -> tuple[str, bool]:
+def verdict(summary: CurtainSummary) -> tuple[str, bool]:
     """Whether the curtain holds, as a report begins; and whether nothing that is known says that it does not."""
-    solved, is_held = summary["status"] == "converged", summary["holds"] is not False
-    if solved and "envelope" in summary:
+    solved, is_held = summary.status == "converged", summary.holds is not False
+    if solved and summary.envelope is not None:
         return governing_line(summary), is_held
-    first, *more = (holds_line(summary) if solved else f"{summary['status']}: {summary['message']}").split("; ")
+    first, *more = (holds_line(summary) if solved else f"{summary.status}: {summary.message}").split("; ")
     return "; ".join([first, *more[:1]]), solved and is_held
 
 
-def interval_line(summary: dict[str, Any]) -> str:
+def interval_line(summary: CurtainSummary) -> str:
     """Interval of the answer, its parts, and what the rings were asked."""
-    what, unit = ("mean_height", "mm") if "mean_height_interval_mm" in summary else ("potential", "N_mm")
-    (low, high), law = summary[f"{what}_interval_{unit}"], summary[f"law_part_{unit}"]
-    of, part = ("law", "") if law is None else ("rings", f"law {digits(law)}, ")
-    name, shown, mesh = what.replace("_", " "), unit.replace("_", " "), digits(summary[f"mesh_part_{unit}"])
-    text = f"{name} of the {of} in [{low:.6g}, {high:.6g}] {shown}: {part}mesh {mesh} {shown}"
-    if "ring_solves" not in summary:
+    what, unit = "mean height", "mm"
+    ends, law, mesh = summary.mean_height_interval_mm, summary.law_part_mm, summary.mesh_part_mm
+    if ends is None:
+        what, unit = "potential", "N mm"
+        ends, law, mesh = summary.potential_interval_N_mm, summary.law_part_N_mm, summary.mesh_part_N_mm
+    (low, high), (of, part) = ends or (), ("law", "") if law is None else ("rings", f"law {digits(law)}, ")
+    text = f"{what} of the {of} in [{low:.6g}, {high:.6g}] {unit}: {part}mesh {digits(mesh or 0.0)} {unit}"
+    if summary.ring_solves is None:
         return text
-    return f"{text}; {summary['ring_solves']} ring problems solved, {summary['cache_hits']} read from the cache"
+    return f"{text}; {summary.ring_solves} ring problems solved, {summary.cache_hits} read from the cache"
 
 
 def components(x: float, y: float, z: float = 0.0) -> str:

@@ -3,6 +3,7 @@
 Both come from an answer in memory, or from the files of `macro_fem run`.
 """
 
+from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -69,7 +70,7 @@ class Told(Typed):
         return replace(info, weave=cell.weave.name, grain=cell.grain)
 
 
-def read_told(summary: dict[str, Any], source: str) -> Told:
+def read_told(summary: Mapping[str, Any], source: str) -> Told:
     """What a summary tells of its curtain; InputError, which begins with `source`, for what does not fit."""
     return read_typed(Told, {key: summary[key] for key in types_of(Told) if key in summary}, f"{source}:")
 

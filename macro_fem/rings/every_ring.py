@@ -11,11 +11,13 @@ from homogenize import MembraneLaw
 from macro_fem.answer import Solution
 from macro_fem.curtain import CurtainSolution
 from macro_fem.judged import own_forces, support_forces
-from macro_fem.output.files import rings as rings_of
+from macro_fem.output.files import weave_of
 from macro_fem.output.page import write_page
 from macro_fem.output.pictures import Drawings, Pictures
 from macro_fem.output.told import components
+from macro_fem.ring_summary import EveryRingSummary, RingObstacle
 from macro_fem.rings.ring_scene import RingScene
+from macro_fem.summary import HeldPoint, RingSupport
 from rve import Cell
 from rve.common import Array, InputError, check_fields, versions
 from rve.common.drawing.plane import new_axes, save_figure
@@ -64,50 +66,49 @@ class EveryRingSolution(Solution):
     disk: CurtainSolution | None = None
 
     @cached_property
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> EveryRingSummary:
         """The numbers of summary.json: lengths in mm, forces in N; null for forces where there are none."""
         rings, solution, contacts = self.scene, self.found, self.found.contacts
         largest, supports = float(contacts.force.max(initial=0.0)), []  # nan where there are no forces
         shares = own_forces([held for _, held in rings.groups], solution.reaction)
         for (name, _), (own, part, most) in zip(rings.groups, shares, strict=True):
-            points = [
-                {"at_mm": X.tolist(), "force_N": or_none(force), "place_mm": x.tolist()}
+            points = tuple(
+                HeldPoint(at_mm=X.tolist(), force_N=or_none(force), place_mm=x.tolist())
                 for X, force, x, mine in zip(rings.mesh.X, part, solution.centre, own, strict=True)
                 if mine.any()
-            ]
+            )
             whole = {"force_N": or_none(part.sum(axis=0)), "largest_nodal_force_N": or_none(most)}
-            supports.append({"support": name, **whole, "points": points})
-        return {
-            "status": solution.status,
-            "message": solution.message,
-            "ring_count": len(rings.mesh.X),
-            "centres": "space" if solution.is_space else "plane",
-            "mean_height_mm": solution.mean_height,
-            "lowest_point_mm": float(solution.centre[:, 1].min()),
-            "depth_mm": float(np.ptp(solution.centre[:, 2])),
-            "potential_N_mm": solution.potential,
-            "min_gap_mm": contacts.min_gap_mm,
-            "notes": list(rings.notes),
-            "links": len(rings.mesh.linked),
-            "links_intact": contacts.links_intact,
-            "kkt_residual": or_none(solution.kkt_residual),
-            "way_left_mm": solution.way_left_mm,
-            "contacts": int((contacts.force > 1e-6 * largest).sum()) if np.isfinite(largest) else None,
-            "largest_contact_force_N": or_none(largest),
-            "total_load_N": solution.load.sum(axis=0).tolist(),
-            "support_forces": supports,
-            "safety_factor": None,
-            "obstacles": [
-                {"obstacle": wall.name, "reaction_N": or_none(force)}
+            supports.append(RingSupport(support=name, **whole, points=points))
+        return EveryRingSummary(
+            status=solution.status,
+            message=solution.message,
+            ring_count=len(rings.mesh.X),
+            centres="space" if solution.is_space else "plane",
+            mean_height_mm=solution.mean_height,
+            lowest_point_mm=float(solution.centre[:, 1].min()),
+            depth_mm=float(np.ptp(solution.centre[:, 2])),
+            potential_N_mm=solution.potential,
+            min_gap_mm=contacts.min_gap_mm,
+            notes=list(rings.notes),
+            links=len(rings.mesh.linked),
+            links_intact=contacts.links_intact,
+            kkt_residual=or_none(solution.kkt_residual),
+            way_left_mm=solution.way_left_mm,
+            contacts=int((contacts.force > 1e-6 * largest).sum()) if np.isfinite(largest) else None,
+            largest_contact_force_N=or_none(largest),
+            total_load_N=solution.load.sum(axis=0).tolist(),
+            support_forces=tuple(supports),
+            safety_factor=None,
+            obstacles=tuple(
+                RingObstacle(obstacle=wall.name, reaction_N=or_none(force))
                 for wall, force in zip(solution.walls, solution.wall_force, strict=True)
-            ],
-            "hang_deg": rings.scene.curtain.weave_angle,
-            **rings_of(rings.info),
-            "iterations": solution.iterations,
-            "wall_s": round(solution.wall_s, 3),
-            "versions": versions("scikit-fem", "scikit-sparse"),
-            "start": self.start,
-        }
+            ),
+            **weave_of(rings.info, rings.scene.curtain.weave_angle).parts(),
+            iterations=solution.iterations,
+            wall_s=round(solution.wall_s, 3),
+            versions=versions("scikit-fem", "scikit-sparse"),
+            start=self.start,
+        )
 
     def drawings(self, wanted: Pictures) -> Drawings:
         if wanted.animation:
@@ -116,9 +117,8 @@ class EveryRingSolution(Solution):
         png: Drawings = {"rings.png": lambda path: save_figure(path, self.plot(new_axes(8.0, 8.0)).figure, dpi=200)}
         return (png if wanted.picture else {}) | ({"rings.html": self.write_html} if wanted.html else {})
 
-    def _write(self, staged: Path) -> dict[str, Any]:
+    def _write(self, staged: Path) -> None:
         self.found.write_vtu(staged / "rings.vtu")
-        return self.summary
 
     def plot(self, ax: Axes | None = None) -> Axes:
         return self.found.plot(ax)
@@ -157,13 +157,13 @@ class Comparison:
                 "potential_N_mm": disk.primal,
                 "mean_height_mm": disk.mean_height(),
                 "lowest_point_mm": float(disk.x[:, 1].min()),
-                "support_forces_N": [one["force_N"] for one in support_forces(disk)],
+                "support_forces_N": [one.force_N for one in support_forces(disk)],
                 "wall_s": disk.wall_s,
             },
             "rings": {key: told[key] for key in OF_RINGS}
             | {
                 "unknowns": int(5 * len(found.centre)),
-                "support_forces_N": [one["force_N"] for one in told["support_forces"]],
+                "support_forces_N": [one.force_N for one in told.support_forces],
                 "wall_s": found.wall_s,
             },
             "mean_height_difference_mm": difference,

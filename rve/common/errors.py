@@ -28,7 +28,7 @@ class NotConverged(RuntimeError):
 class NotDrawn(RuntimeError):
     """Pictures or reports of a result whose data are in place failed: why, by their names; and its record."""
 
-    def __init__(self, causes: dict[str, Exception], record: dict[str, Any]) -> None:
+    def __init__(self, causes: dict[str, Exception], record: Any) -> None:
         super().__init__("; ".join(f"{name} could not be made: {why}" for name, why in causes.items()))
         self.causes, self.record = causes, record
 

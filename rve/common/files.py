@@ -99,7 +99,7 @@ def json_text(record: Mapping[str, Any], indent: int = 2) -> str:
       ]
     }
     """
-    text = msgspec.json.encode(record, enc_hook=lambda value: value.tolist())  # arrays and numbers of numpy
+    text = msgspec.json.encode({**record}, enc_hook=lambda value: value.tolist())  # arrays and numbers of numpy
     return msgspec.json.format(text, indent=indent).decode() + "\n"
 
 

@@ -12,7 +12,6 @@ from macro_fem.bounds.equilibrated import dual_disc
 from macro_fem.bounds.interval import mark
 from macro_fem.fem import gradient, internal_force
 from macro_fem.job import solve_membrane
-from macro_fem.output.files import interval_summary
 from macro_fem.output.told import interval_line
 from macro_fem.scene.meshing.mesh import build_mesh
 from tests.test_macro_fem.sheets import sheet, solve_scene
@@ -107,12 +106,13 @@ def test_the_hybrid_gradient_is_exact_for_affine_fields_and_dual_to_equilibrium(
 
 def test_refinement_follows_the_error(ring_like, scene_tables):
     scene = read_scene(scene_tables(mesh={"cells": 4}, support={"kind": "corners"}, solver={"adapt": 2}))
-    found = solve_membrane(scene, ring_like).levels
+    answer = solve_membrane(scene, ring_like)
+    found = answer.levels
     first, second, third = (level.gap for level in found)
     assert first > second > third
     assert max(level.lower for level in found) <= min(level.upper for level in found)
     assert found[2].solution.problem.disc.n_cells < 8 * found[0].solution.problem.disc.n_cells
-    assert interval_line(interval_summary(found[2])).startswith("mean height of the law in [")
+    assert interval_line(answer.summary).startswith("mean height of the law in [")
 
 
 def test_marking_takes_the_fewest_cells():

@@ -272,15 +272,15 @@ def test_the_strength_is_that_of_a_table(tables):
 def test_the_summary_tells_interval_parts_and_questions(tables):
     result = solve(square(), OnDemand(Cell(), 0.05, cache=tables))
     summary = result.summary
-    low, high = summary["mean_height_interval_mm"]
-    assert summary["status"] == result.status == "converged"
-    assert high == pytest.approx(summary["mean_height_mm"])
+    low, high = summary.mean_height_interval_mm
+    assert summary.status == result.status == "converged"
+    assert high == pytest.approx(summary.mean_height_mm)
     assert high - low <= 5.0
-    assert summary["law_part_mm"] + summary["mesh_part_mm"] == pytest.approx(high - low)
-    assert summary["ring_solves"] + summary["cache_hits"] >= 190
-    assert summary["turns"][-1]["lower_N_mm"] == result.levels[-1].lower
-    assert summary["turns"][-1]["wall_s"] == summary["wall_s"]
-    assert {row["feature"]: "rings on demand" in row["why"] for row in summary["features"]}["bounds"]
+    assert summary.law_part_mm + summary.mesh_part_mm == pytest.approx(high - low)
+    assert summary.ring_solves + summary.cache_hits >= 190
+    assert summary.turns[-1].lower_N_mm == result.levels[-1].lower
+    assert summary.turns[-1].wall_s == summary.wall_s
+    assert {row.feature: "rings on demand" in row.why for row in summary.features}["bounds"]
 
 
 @pytest.mark.slow
@@ -288,7 +288,7 @@ def test_other_loads_than_the_weight_give_an_interval_of_the_potential(tables):
     load = {"point": [{"at": [50.0, 0.0], "force": [0.01, -0.01]}], "steps": 2}
     result = solve(square("top", load=load), OnDemand(Cell(), 0.1, cache=tables))
     summary = result.summary
-    low, high = summary["potential_interval_N_mm"]
+    low, high = summary.potential_interval_N_mm
     assert low < high
     assert "mean_height_interval_mm" not in summary
     assert len(result.steps) == 2
@@ -298,9 +298,9 @@ def test_other_loads_than_the_weight_give_an_interval_of_the_potential(tables):
 def test_bounds_by_a_law_alone_say_so():
     scene = square(cells=3, solver={"bounds": True})
     alone, rings = solve(scene, default_law()).summary, solve(scene).summary
-    assert alone["law_part_mm"] is None
-    assert rings["law_part_mm"] > 0.0
-    (low, high), (inside, outside) = rings["mean_height_interval_mm"], alone["mean_height_interval_mm"]
+    assert alone.law_part_mm is None
+    assert rings.law_part_mm > 0.0
+    (low, high), (inside, outside) = rings.mean_height_interval_mm, alone.mean_height_interval_mm
     assert low < inside + 1e-3
     assert high > outside - 1e-3
 
@@ -343,17 +343,17 @@ def test_the_factor_on_demand_is_that_of_the_finest_law():
     scene = square({"kind": "hooks", "pitch": 50.0, "gather": 0.9}, 6)
     found = solve(scene, OnDemand(Cell(), accuracy=0.05))
     told, solution = found.summary, found.solution
-    assert told["safety_factor"] > 0.0
+    assert told.safety_factor > 0.0
     problem, strength = solution.problem, default_law().strength
     own = replace(problem.law.own, strength=strength)
     same = judge_strength(replace(solution, problem=replace(problem, law=replace(problem.law, own=own))))
     used = "safety_factor", "utilisation_of_averages_max", "utilisation_of_point_forces_max"
     for key in used:
-        assert told[key] == pytest.approx(same[key], rel=strength.error.first_yield_max)
-    assert told["collapse_factor"] == pytest.approx(same["collapse_factor"], rel=strength.error.collapse_max)
+        assert told[key] == pytest.approx(vars(same)[key], rel=strength.error.first_yield_max)
+    assert told.collapse_factor == pytest.approx(same.collapse_factor, rel=strength.error.collapse_max)
     law = solve(scene, default_law()).summary
-    assert told["safety_factor"] == pytest.approx(law["safety_factor"], rel=0.02)
-    assert told["weakest"].split()[0] == law["weakest"].split()[0]
+    assert told.safety_factor == pytest.approx(law.safety_factor, rel=0.02)
+    assert told.weakest.split()[0] == law.weakest.split()[0]
 
 
 @pytest.mark.slow
@@ -370,5 +370,5 @@ def test_other_weaves_and_radii_go_from_rings_to_curtain(cell):
     assert low < high
     assert found.rings.law.rows.is_mirrored == cell.weave.is_mirrored
     told = judge_strength(found.level.solution)
-    assert told["strength_note"] == MEANING
-    assert told["safety_factor"] > 0.0
+    assert told.strength_note == MEANING
+    assert told.safety_factor > 0.0

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from homogenize import default_law
 from macro_fem import localize
 from macro_fem.cli import main
-from macro_fem.output.files import rings
+from macro_fem.output.files import weave_of
 from macro_fem.rings import Curtain
 from macro_fem.rings.curtain import Told, curtain_of
 from macro_fem.rings.localize import find_sites, place_rings, turns
@@ -468,7 +468,7 @@ def test_the_largest_force_is_that_of_the_cell(alpha, beta):
 def test_what_is_slack_beside_a_load_changes_no_force(table):
     """Rings bear S where it locks them, also in cells that are drawn together beside it."""
     _, E, S, s = table
-    told = Told(0.0, **rings(default_law().cell))
+    told = Told(**weave_of(default_law().cell, 0.0).to_dict())
     strains = E[3], E[3] - [0.3, 0.0, 0.15]
     curtains = [sheet(deformation_gradient(one[None])[0], one, S[3], np.eye(2)) for one in strains]
     locked, slack = (localize(replace(one, told=told)).contact_force_N.max() for one in curtains)

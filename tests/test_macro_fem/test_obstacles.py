@@ -6,7 +6,7 @@ import pytest
 from homogenize import default_law
 from macro_fem import read_scene, solve
 from macro_fem.curtain import ShapeOptions, solve_problem, solve_shape
-from macro_fem.judged import obstacle_summary, pushes_of
+from macro_fem.judged import obstacle_forces, pushes_of
 from macro_fem.scene.obstacles import Obstacle, PlacedObstacle
 from macro_fem.scene.reading import read_records
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
@@ -183,10 +183,10 @@ def test_reaction_of_a_moving_sphere_is_the_slope_of_the_potential(fitted_law, s
     low, here, high = (answer(pushed(scene_tables, 19.5 + s * step), fitted_law) for s in (-1, 0, 1))
     assert {one.status for one in (low, here, high)} == {"converged"}
     slope = (high.primal - low.primal) / (2.0 * step)
-    (line,) = obstacle_summary([here])["obstacles"]
-    assert line["reaction_N"][2] == pytest.approx(slope, rel=0.02)
-    assert line["reaction_N"][2] > 0.02 * np.abs(here.problem.force).sum()
-    assert line["nodes_touched"] >= 1
+    (line,) = obstacle_forces([here])
+    assert line.reaction_N[2] == pytest.approx(slope, rel=0.02)
+    assert line.reaction_N[2] > 0.02 * np.abs(here.problem.force).sum()
+    assert line.nodes_touched >= 1
     assert_balanced(here)
 
 

@@ -17,6 +17,7 @@ from macro_fem.judged import envelope as envelope_of
 from macro_fem.output.told import governing_line, lean_note, loads_in_words
 from macro_fem.report import _sections, write_report
 from macro_fem.size import Range, find_size, search
+from macro_fem.summary import HeldPoint
 from macro_fem.trials import Sought, answer_of
 from rve import Cell, InputError, grid, solve_table, with_rings
 from tests.commands import run
@@ -57,23 +58,23 @@ def test_factors_scale_forces_of_a_shape_that_stays():
     scene = Scene(Rectangle(330.0, 252.9), [Corners(), Bar(mass=2.0)], mesh=Mesh(cells=6), combination=factors)
     answer = solve(scene)
     summary = answer.summary
-    own, light = summary["combinations"]
-    largest = summary["support_forces"][0]["largest_nodal_force_N"]
-    assert own["largest_force_N"] == pytest.approx(1.5 * largest, rel=1e-5)
-    assert own["weakest_factor"] == pytest.approx(summary["weakest_factor"] / 1.5, rel=1e-5)
-    envelope = summary["envelope"]
+    own, light = summary.combinations
+    envelope, supports = summary.envelope, summary.support_forces
+    assert own.largest_force_N == pytest.approx(1.5 * supports[0].largest_nodal_force_N, rel=1e-5)
+    assert own.weakest_factor == pytest.approx(summary.weakest_factor / 1.5, rel=1e-5)
     assert governing_line(summary).startswith("governing combination: all, does not hold, factor 0.8")
-    assert governing_line(summary | {"combinations": [own | {"status": "infeasible"}]}).endswith("no answer for all")
-    assert envelope["weakest_factor"] == own["weakest_factor"] < light["weakest_factor"]
-    weight = 9.81 * (summary["mass_kg"] + 0.5 * 2.0)
-    forces = answer.combinations[1][1].summary["support_forces"]
-    assert sum(one["force_N"][1] for one in forces) == pytest.approx(weight, rel=1e-6)
-    assert [row["combination"] for row in envelope["support_forces"]] == ["all"] * 2
-    apart = {"points": [{"at_mm": [9.0, 9.0], "force_N": [0.0, 4.0], "place_mm": [9.0, 9.0]}]}  # of a finer mesh
-    other = summary | {"support_forces": [summary["support_forces"][0] | apart]}
-    both = envelope_of([(factors[0], summary | {"weakest_factor": None}), (factors[1], other)])
-    assert both["envelope"]["governing"] == "light"  # the other is as without load
-    assert [row["combination"] for row in both["envelope"]["support_forces"]] == ["all", "all", "light"]
+    failed = replace(summary, combinations=(replace(own, status="infeasible"),))
+    assert governing_line(failed).endswith("no answer for all")
+    assert envelope.weakest_factor == own.weakest_factor < light.weakest_factor
+    weight = 9.81 * (summary.mass_kg + 0.5 * 2.0)
+    forces = answer.combinations[1][1].summary.support_forces
+    assert sum(one.force_N[1] for one in forces) == pytest.approx(weight, rel=1e-6)
+    assert [row.combination for row in envelope.support_forces] == ["all"] * 2
+    apart = HeldPoint(point="corner 1", at_mm=[9.0, 9.0], force_N=[0.0, 4.0], place_mm=[9.0, 9.0])  # of a finer mesh
+    other = replace(summary, support_forces=(replace(supports[0], points=(apart,)),))
+    both = envelope_of([(factors[0], replace(summary, weakest_factor=None)), (factors[1], other)])
+    assert both.governing == "light"  # the other is as without load
+    assert [row.combination for row in both.support_forces] == ["all", "all", "light"]
 
 
 def test_tables_of_results_hold_what_governs_and_not_the_loads_as_they_are(tmp_path):
@@ -358,11 +359,12 @@ def test_the_report_is_two_pages_or_more_where_tables_are_long(tmp_path):
         f"weight, {loads}",
         loads,
     ]
-    told = {head: list(lines) for head, lines, _ in _sections(summary, [])}
+    record = solve(macro_fem.load_scene(scene)).summary
+    told = {head: list(lines) for head, lines, _ in _sections(record, [])}
     rows = [line.split("  ")[0] for line in told["Forces of supports without partial factors"]]
     assert rows == ["support", "hook 1", "hook 2", "hook 3", "hook 4"]
     assert not any(word in str(told) for word in ("_N_", "_mm", "solver"))  # no keys, nothing of how it was solved
-    write_report(tmp_path / "long.pdf", solve(hung()).loaded, summary | {"combinations": 60 * summary["combinations"]})
+    write_report(tmp_path / "long.pdf", solve(hung()).loaded, replace(record, combinations=60 * record.combinations))
     for name, pages in (("r.pdf", 2), ("long.pdf", 3)):
         content = (tmp_path / name).read_bytes()
         assert content.count(b"/Type /Page\n") + content.count(b"/Type /Page ") == pages

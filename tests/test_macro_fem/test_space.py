@@ -231,8 +231,8 @@ def test_files_of_a_curtain_in_space(tmp_path):
     vtu = meshio.read(tmp_path / "curtain.vtu")
     assert np.allclose(vtu.points + vtu.point_data["displacement_mm"], found.solution.x, atol=1e-9)
     assert np.allclose(vtu.point_data["support_force_N"], found.loaded.reactions, atol=1e-9)
-    told = {one["feature"]: one for one in features(found.solution, bounds=False)}
-    assert told["third-coordinate"]["used"]
+    told = {one.feature: one for one in features(found.solution, bounds=False)}
+    assert told["third-coordinate"].used
 
 
 RING_PIECE = {"curtain": {"width": 66.0, "height": 75.876417741}, "mesh": {"cells": 6}, "support": {"kind": "top"}}

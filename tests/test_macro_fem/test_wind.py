@@ -15,7 +15,7 @@ from macro_fem.curtain import (
     solve_problem,
     solve_shape,
     wind_density,
-    wind_summary,
+    wind_drags,
 )
 from macro_fem.scene.loads import drag_coefficient, ring_solidity
 from rve import InputError
@@ -161,11 +161,11 @@ def test_the_summary_of_a_gathered_curtain_tells_what_pixels_count(cells):
     track = {"kind": "track", "fullness": 1.05, "height": 600.0, "count": 5}
     loads = {"wind": {"direction": [0.0, 0.0, 1.0], "speed": 15.0}, "bar": {"mass": 40.0, "straight": False}}
     solution = solve_problem(posed(sheet(1200.0, 600.0, cells, track, {}, loads)))
-    (told,) = wind_summary(solution)["wind"]
+    (told,) = wind_drags(solution)
     front, drag = by_pixels(solution.problem, solution.x, np.array([0.0, 0.0, 1.0]))
-    assert told["front_area_m2"] == pytest.approx(1e-6 * front, rel=1e-3)
-    assert told["layers"] == pytest.approx(0.72e6 / front, rel=1e-3)
-    assert told["drag_N"] == pytest.approx(drag, rel=1e-3)
+    assert told.front_area_m2 == pytest.approx(1e-6 * front, rel=1e-3)
+    assert told.layers == pytest.approx(0.72e6 / front, rel=1e-3)
+    assert told.drag_N == pytest.approx(drag, rel=1e-3)
 
 
 @pytest.mark.parametrize("speed", [3.0, pytest.param(12.0, marks=pytest.mark.slow)])
@@ -201,7 +201,7 @@ def test_a_strip_in_wind_that_follows_comes_to_rest_at_a_closed_form(speed):
     t = np.arcsin(np.sqrt(part**2 + 1.0) - part)
     low = solution.x[problem.disc.nodes[:, 1] == 0.0].mean(axis=0) - [100.0, 2000.0, 0.0]
     assert np.arctan2(low[2], -low[1]) == pytest.approx(t, rel=0.02)
-    assert wind_summary(solution)["wind"][0]["front_area_m2"] == pytest.approx(0.4 * size * np.cos(t), rel=0.02 * t)
+    assert wind_drags(solution)[0].front_area_m2 == pytest.approx(0.4 * size * np.cos(t), rel=0.02 * t)
 
 
 @pytest.mark.slow
@@ -210,9 +210,9 @@ def test_a_drawn_track_in_wind_that_follows_comes_to_rest():
     track = {"kind": "track", "radius": 1500.0, "fullness": 1.5}
     solution = solve_problem(posed(hung(track, {"speed": 15.0, "follows": True}, cells=8)))
     assert solution.status == "converged", solution.message
-    (told,) = wind_summary(solution)["wind"]
-    assert -solution.reactions[:, 2].sum() == pytest.approx(told["drag_N"], abs=solution.noise)
-    assert told["drag_N"] < 4.0 / 3.0 * 0.5 * 1.25 * 225.0 * told["front_area_m2"]
+    (told,) = wind_drags(solution)
+    assert -solution.reactions[:, 2].sum() == pytest.approx(told.drag_N, abs=solution.noise)
+    assert told.drag_N < 4.0 / 3.0 * 0.5 * 1.25 * 225.0 * told.front_area_m2
 
 
 def test_wind_without_rest_says_so():
@@ -228,7 +228,7 @@ def test_drag_of_a_gathered_sheet_with_a_bar_comes_to_rest(speed, mass):
     loads = {"wind": {"direction": [0.0, 0.0, 1.0], "speed": speed}, "bar": {"mass": mass}}
     solution = solve_problem(posed(sheet(1200.0, 900.0, 8, {"kind": "top", "gather": 0.7}, {}, loads)))
     assert solution.status == "converged", solution.message
-    assert -solution.reactions[:, 2].sum() == pytest.approx(wind_summary(solution)["wind"][0]["drag_N"], rel=1e-4)
+    assert -solution.reactions[:, 2].sum() == pytest.approx(wind_drags(solution)[0].drag_N, rel=1e-4)
 
 
 @pytest.mark.slow
@@ -237,7 +237,7 @@ def test_folds_that_find_no_rest_in_drag_are_smoothed_and_the_answer_says_so():
     solution = solve_problem(posed(sheet(600.0, 400.0, 12, {"kind": "hooks", "pitch": 200.0}, {}, loads)))
     assert solution.status == "converged", solution.message
     assert solution.message.endswith("; its folds came to rest in the wind with stabilising_tension = 0.001")
-    assert -solution.reactions[:, 2].sum() == pytest.approx(wind_summary(solution)["wind"][0]["drag_N"], rel=1e-3)
+    assert -solution.reactions[:, 2].sum() == pytest.approx(wind_drags(solution)[0].drag_N, rel=1e-3)
 
 
 @pytest.mark.slow
@@ -246,7 +246,7 @@ def test_folds_of_elastic_rings_come_to_rest_in_drag_too():
     hooks, wind = {"kind": "hooks", "pitch": 150.0, "gather": 0.8}, {"direction": [0.0, 0.0, 1.0], "speed": 18.0}
     solution = solve_problem(posed(sheet(600.0, 800.0, 6, hooks, {}, {"wind": wind}, {"kind": "elastic"})))
     assert solution.status == "converged", solution.message
-    assert -solution.reactions[:, 2].sum() == pytest.approx(wind_summary(solution)["wind"][0]["drag_N"], rel=1e-3)
+    assert -solution.reactions[:, 2].sum() == pytest.approx(wind_drags(solution)[0].drag_N, rel=1e-3)
 
 
 def test_a_track_drawn_to_its_half_takes_less_than_a_plate():
@@ -256,12 +256,12 @@ def test_a_track_drawn_to_its_half_takes_less_than_a_plate():
         track = {"kind": "track", "radius": 1500.0, "fullness": 1.5, "drawn": drawn}
         solution = solve_problem(posed(hung(track, {"speed": 15.0}, cells=8)))
         assert solution.status == "converged", solution.message
-        (told,) = wind_summary(solution)["wind"]
-        plate = 4.0 / 3.0 * 0.5 * 1.25 * 225.0 * told["front_area_m2"]
-        assert told["drag_N"] <= plate
-        assert -solution.reactions[:, 2].sum() == pytest.approx(told["drag_N"], rel=1e-5)
-        assert told["layers"] * told["front_area_m2"] == pytest.approx(6.9, rel=1e-9)
-        drags.append(told["drag_N"])
+        (told,) = wind_drags(solution)
+        plate = 4.0 / 3.0 * 0.5 * 1.25 * 225.0 * told.front_area_m2
+        assert told.drag_N <= plate
+        assert -solution.reactions[:, 2].sum() == pytest.approx(told.drag_N, rel=1e-5)
+        assert told.layers * told.front_area_m2 == pytest.approx(6.9, rel=1e-9)
+        drags.append(told.drag_N)
     assert drags[1] < 0.75 * drags[0] < 0.75 * 742.0
     assert drags[1] < 420.0
 

@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 
@@ -40,6 +40,8 @@ _COMMON = {
     "traceback": "Show where in the code an error arose.",
 }
 """Options of every command, which it finds in its context."""
+
+Record = TypeVar("Record", bound=Mapping[str, Any])
 
 
 class Command(click.Command):
@@ -194,7 +196,7 @@ def _say_where(error: BaseException) -> None:
         click.echo("".join(traceback.format_exception(error)), err=True, nl=False)
 
 
-def made(make: Callable[..., dict[str, Any]], *args: Any, **kwargs: Any) -> tuple[dict[str, Any], NotDrawn | None]:
+def made(make: Callable[..., Record], *args: Any, **kwargs: Any) -> tuple[Record, NotDrawn | None]:
     """The record that a function returns, and how its pictures or reports failed where only they did."""
     try:
         return make(*args, **kwargs), None
