@@ -87,11 +87,10 @@ def support(
     """h(S) = max S:E over the admissible cells for dead line loads S (3,) or (n, 3), positive semidefinite.
 
     It is the work of the best locked state that was found, hence at most the maximum; docs/reports/evidence.md says how
-    often it was less. Starts are the slack pose, random admissible poses (the same in every call), the locked states of
-    `known` (an earlier answer for the same cell) and those of the other loads; where few loads are near, those of four
-    loads round it are found first. E refers to the reference cell of `options`. InputError for loads that are zero, not
-    finite or have a negative eigenvalue; NotConverged if there is no reference cell. Loads that fail keep their status
-    and have nan elsewhere.
+    often it was less. Starts are the slack pose, a sample of the cell's locked states (made once and kept), those of
+    `known` (an earlier answer for the same cell) and those of the other loads. E refers to the reference cell of
+    `options`. InputError for loads that are zero, not finite or have a negative eigenvalue; NotConverged if there is no
+    reference cell. Loads that fail keep their status and have nan elsewhere.
 
     >>> found = support(Cell(5, 0.5), [1.0, 0.0, 0.0])
     >>> round(float(found.h[0]), 4), round(float(found.x2_mm[0, 0]), 3)
@@ -146,7 +145,7 @@ def solve_largest(
     if options.branches == "first":
         best = slack_states(loads, loaded)
     else:
-        best = search(BestStates.none(loaded, loads), sample_states(mesh, sides_mm, options), None if stages else known)
+        best = search(slack_states(loads, loaded), sample_states(mesh, sides_mm, options), None if stages else known)
     for mesh in stages:
         loaded = LoadedCell.of(mesh, sides_mm, options)
         best = search_beyond(best, known if mesh is stages[-1] else None, loaded)

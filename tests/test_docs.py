@@ -31,6 +31,7 @@ def blocks(page: str) -> list[tuple[str, str]]:
 )
 def test_the_page_runs_as_it_stands(page, kinds, tmp_path):
     environment = os.environ | {"PYTHONPATH": str(DOCS.parent), "MPLBACKEND": "Agg"}
+    environment.pop("CALCULIX", None)  # which takes minutes; tests of decks have it
     found = blocks(page)
     assert {kind for kind, _ in found} >= kinds
     for kind, text in found:

@@ -38,10 +38,13 @@ class SearchOptions:
     thick: float = 1.0 / 12.0
     """r2/r1 from which on the search is quick: there loads have one state, but for some near rank one. Larger: tables
     of thick wires take half as long again."""
+    starts: int = 3
+    """States of the sample from which a load of thin wire is restarted; a quick search takes one. More find narrower
+    basins, in as much more time."""
     quick: int = 35
+    """Most iterations of a state of a thick cell's sample: slower loads are left out of it."""
     narrow: float = 0.1
-    """Iterations of a quick search, slower loads are left as they are; and the ratio of principal loads below which it
-    restarts a load that has a state."""
+    """Ratio of principal loads below which a quick search restarts a load that has a state."""
     rounds: int = 6
     """Rounds of restarts at most; a load that is still below a known state then has the status "below"."""
     unstable: float = -1e-6
@@ -155,7 +158,7 @@ def is_thick(mesh: LoadedCell) -> bool:
 
 
 def hasty(mesh: LoadedCell) -> DirectOptions:
-    """The options of the cell; in a quick search with `SEARCH.quick` iterations at most."""
+    """The options of the cell; of a thick one with `SEARCH.quick` iterations at most."""
     most = mesh.options.max_iterations
     return replace(mesh.options, max_iterations=min(SEARCH.quick, most) if is_thick(mesh) else most)
 
@@ -163,8 +166,8 @@ def hasty(mesh: LoadedCell) -> DirectOptions:
 def search(best: BestStates, sample: KnownStates, others: KnownStates | None = None) -> BestStates:
     """The states of largest work: better than `best` wherever restarts from those of `sample` or `others` lead to one.
 
-    Every load, in a thick cell every one that is narrow or has no state, is restarted from the state of the sample that
-    does most work under it; a narrow one of thin wire from a random pose as well, on a long path; then all, as `climb`
+    Every load, in a thick cell every one that is narrow or has no state, is restarted from those of the sample that do
+    most work under it; a narrow one of thin wire from a random pose as well, on a long path; then all, as `climb`
     does, from those that do more than their own. A load that is still without a state starts from the slack pose.
     """
     mesh, S = best.mesh, best.S
@@ -172,9 +175,11 @@ def search(best: BestStates, sample: KnownStates, others: KnownStates | None = N
     is_narrow, quick = low < SEARCH.narrow * high, is_thick(mesh)
     rows = np.flatnonzero(is_narrow | ~np.isfinite(best.h) | (not quick))
     if len(sample.S) and len(rows):
-        start = sample.pose.take(sample.works(S[rows]).argmax(axis=1))
-        new = restart(S[rows], mesh.dead, start, RESTART.near_margin, hasty(mesh))
-        best = best.improved(rows, new, "restart")
+        count = 1 if quick else SEARCH.starts
+        first = sample.works(S[rows]).argsort(axis=1)[:, : -count - 1 : -1]
+        each = np.repeat(rows, first.shape[1])
+        new = restart(S[each], mesh.dead, sample.pose.take(first.ravel()), RESTART.near_margin, mesh.options)
+        best = best.improved(each, new, "restart")
     long = np.flatnonzero(is_narrow & (not quick))
     if len(long):
         start = random_poses(mesh.dead, 1).take(np.zeros(len(long), dtype=int))

@@ -227,9 +227,8 @@ def test_the_memory_that_is_told_is_what_rings_take():
     code = """if True:
         from pathlib import Path
         from macro_fem import Corners, Mesh, Rectangle, Scene
-        from macro_fem.rings import ring_cost
-        from macro_fem.rings import ring_scene
-        from rve import FiniteOptions
+        from macro_fem.rings import ring_cost, ring_scene
+        from rve.finite import FiniteOptions
         told = ring_scene(Scene(Rectangle(242, 278.2), [Corners()], Mesh(8)))
         told.solve(space=True, options=FiniteOptions(max_iterations=6, starts=1))
         peak = int(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) * 1024e-9
