@@ -246,6 +246,7 @@ def solved_from_file(tables, p, t, path):
 @pytest.mark.parametrize("count", [6, pytest.param(170, marks=pytest.mark.release)])
 def test_twins_of_a_scene_agree(kind, count, tmp_path):
     """Status, potential, mean height and forces of supports; elastic rings do not give alike at another size."""
+    unsolved = 0
     for seed in range(count):
         rng, tables = np.random.default_rng([seed, 6]), draw(seed)
         tables["solver"] = {"kind": "elastic" if kind != "rescaled" and rng.random() < 0.5 else "rigid"}
@@ -262,6 +263,9 @@ def test_twins_of_a_scene_agree(kind, count, tmp_path):
         if isinstance(one, str) or isinstance(other, str):
             assert isinstance(one, str) == isinstance(other, str), (seed, one, other)
             continue
+        if not {one.status, other.status} <= NAMED:
+            unsolved += 1
+            continue
         assert one.status == other.status, (seed, one.message, other.message)
         if one.status in ("converged", "taut"):
             total, length = scale_of(one)
@@ -269,6 +273,7 @@ def test_twins_of_a_scene_agree(kind, count, tmp_path):
             assert abs(one.mean_height() - other.mean_height() / size) <= 1e-3 * length, seed
             forces = [one.reactions.sum(axis=0), other.reactions.sum(axis=0) * sign / size**2]
             assert np.abs(forces[0] - forces[1]).max() <= 1e-4 * (total or 1.0), seed
+    assert unsolved <= UNSOLVED * count
 
 
 def draw_sliding(seed):
@@ -299,8 +304,8 @@ def check_sliding(seed):
         return f"refused: {error}"
     load = np.linalg.norm(solution.problem.force.sum(axis=0))
     lines = support_forces(solution)
-    points = [point["force_N"] for line in lines for point in line["points"]]
-    for force in [line["force_N"] for line in lines] + points:
+    points = [point.force_N for line in lines for point in line.points]
+    for force in [line.force_N for line in lines] + points:
         assert abs(np.array(force) @ way[: len(force)]) < 1e-6 * load
     if solution.status == "converged":
         # obstacles push no more along it than the answer tells from nothing
