@@ -140,7 +140,7 @@ def utilisation_row(name: str) -> Row:
         "its own mesh, told too coarse": bool(known.utilisation_too_low),
         **{f"{side:g} mm": value for side, value in zip(SIDES, used, strict=True)},
         "order": log2(abs(first / last)) if first * last > 0.0 else None,
-        **{"last change": last / used[-1], "safety factor": 1.0 / used[-1], "near": values[-1]["first_yield_near"]},
+        **{"last change": last / used[-1], "safety factor": 1.0 / used[-1], "near": values[-1].first_yield_near},
         **{"pointwise": float(pointwise[-1]), "pointwise, last change": 1.0 - pointwise[-2] / pointwise[-1]},
         "cells": finest[-1].problem.disc.n_cells,
     }
