@@ -269,11 +269,11 @@ def _fields(summary: CurtainSummary) -> dict[str, Any]:
     if worst.weakest_factor is None:
         unknown = f"the strength of the rings is not known: {summary.strength_note}"
         return {"status": unknown if summary.utilisation_max is None else "there is no load"}
-    return {
+    own = {"governing_combination": summary.envelope.governing} if summary.envelope else {}
+    return own | {
         "factor": worst.weakest_factor,
         "status": "converged",
         "safety_factor": worst.safety_factor,
         "weakest": worst.weakest,
         "utilisation_too_low": worst.utilisation_too_low,
-        "governing_combination": summary.envelope and summary.envelope.governing,
     }
