@@ -210,7 +210,7 @@ def test_rings_that_do_not_fit_into_memory_are_refused_before_any_is_made(tmp_pa
     assert done.exit_code == 2
     assert done.stderr.count("\n") == 1
     count, need = re.search(
-        r"curtain\]: ([\d,]+) rings need some (\d+) GB of memory, where there are 16", done.stderr
+        r"curtain\]: ([\d,]+) rings need some ([\d.]+) GB of memory, where there are 16", done.stderr
     ).groups()
     assert (int(count.replace(",", "")), float(need)) == (408_496, pytest.approx(memory_GB(408_496), rel=0.01))
     assert not (tmp_path / "out").exists()
