@@ -1,4 +1,3 @@
-from .forces import FORCES as FORCES
 from .forces import TOUCHES as TOUCHES
 from .forces import PointForce as PointForce
 from .forces import change_of_forces as change_of_forces
@@ -6,13 +5,11 @@ from .forces import first_of_largest as first_of_largest
 from .forces import obstacle_forces as obstacle_forces
 from .forces import own_forces as own_forces
 from .forces import point_forces as point_forces
-from .forces import pulls as pulls
 from .forces import pushes_of as pushes_of
 from .forces import settling_of as settling_of
 from .forces import spot_loads as spot_loads
 from .forces import support_forces as support_forces
 from .forces import support_rows as support_rows
-from .forces import winds as winds
 from .line_load import FINE as FINE
 from .line_load import Extreme as Extreme
 from .line_load import Nearby as Nearby

@@ -10,7 +10,7 @@ import numpy as np
 
 from macro_fem.curtain import CurtainSolution, placed_obstacles
 from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
-from macro_fem.judged import FORCES
+from macro_fem.output.arrows import FORCES
 from macro_fem.output.images import Draw
 from macro_fem.scene.obstacles import Box, Cylinder, Floor, PlacedObstacle, Sphere, Wall, unit
 from macro_fem.scene.support_kinds import Hanging

@@ -18,7 +18,6 @@ import macro_fem
 from homogenize import default_law, with_material
 from macro_fem import read_scene
 from macro_fem.cli import main
-from macro_fem.judged import winds
 from macro_fem.motion import files, pace
 from macro_fem.motion.curtain import MovingCurtain
 from macro_fem.motion.files import account_error
@@ -26,6 +25,7 @@ from macro_fem.motion.modes import find_modes
 from macro_fem.motion.pace import COLUMNS
 from macro_fem.motion.stage import masses_of, mesh_masses, scene_at
 from macro_fem.motion.step import Moment, kinetic_energy
+from macro_fem.output.arrows import winds
 from macro_fem.rings import ring_scene
 from macro_fem.scene.loads import wind_pressure
 from rve import InputError
