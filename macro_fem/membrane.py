@@ -96,7 +96,8 @@ class MembraneSolution(Solution):
             numbers = replace(numbers, status=demand.status, message=demand.message, wall_s=wall_s)
         if self.combinations:
             answers = [(one, found.summary) for one, found in self.combinations]
-            rows, most = combination_rows(answers), envelope(answers)
+            rows = combination_rows(answers)
+            most = envelope(answers, rows)
             failed = [row for row in rows if row.status != Status.CONVERGED]
             if failed and numbers.status == Status.CONVERGED:
                 message = f"combination {failed[0].name}: {failed[0].message}"

@@ -122,12 +122,14 @@ def _judged(of: CurtainNumbers | CombinationRow) -> dict[str, Any]:
     }
 
 
-def envelope(answers: Sequence[tuple[Combination, CurtainNumbers]]) -> Envelope:
+def envelope(answers: Sequence[tuple[Combination, CurtainNumbers]], rows: Sequence[CombinationRow]) -> Envelope:
     """Which combination governs, by the least factor (by the largest force of a single point where the strength of the
-    rings is not known); for each held point the largest force of all and the combination that asks for it."""
-    rows = combination_rows(answers)
+    rings is not known); for each held point the largest force of all and the combination that asks for it. rows: the
+    `combination_rows` of the answers."""
     known = [row for row in rows if row.weakest_factor is not None]  # others may be without load
-    worst = min(known or rows, key=lambda row: row.weakest_factor if known else -row.largest_force_N)
+    worst = min(
+        known or rows, key=lambda row: -row.largest_force_N if row.weakest_factor is None else row.weakest_factor
+    )
     points: dict[tuple[Any, ...], LargestForce] = {}  # by places: each combination may have refined its own mesh
     sums: dict[int, LargestForce] = {}
     for combination, summary in answers:
