@@ -12,7 +12,6 @@ import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +22,12 @@ from homogenize.export import even_law, umat_source
 from macro_fem.answer import read_job
 from macro_fem.curtain import CurtainProblem, forces_by, make_problem
 from macro_fem.fem.assembly import load_vector
-from macro_fem.fem.cells import padded
+from macro_fem.fem.cells import counterclockwise, padded
 from macro_fem.job import solve_membrane
 from macro_fem.scene.checks import check_scene, check_sizes
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import Scene
-from rve.common import Array, InputError, job, part_of, versions, write_text
+from rve.common import Array, InputError, filled, job, part_of, versions, write_text
 
 RECORD = "deck.json"
 THICKNESS = 10.0
@@ -86,9 +85,8 @@ def line_load(problem: CurtainProblem) -> float:
 
 def deck_text(problem: CurtainProblem, title: str = "") -> str:
     """The input file of CalculiX."""
-    X, t, d = problem.disc.nodes, problem.mesh.mesh.t.T, problem.fem.d
-    sides = X[t[:, 1:]] - X[t[:, :1]]
-    t = np.where((np.linalg.det(sides) < 0.0)[:, None], t[:, ::-1], t)
+    X, d = problem.disc.nodes, problem.fem.d
+    t = counterclockwise(X, problem.mesh.mesh.t.T)
     away = problem.supports.positions - problem.fem.reference
     n, cells = len(X), len(t)
     fields = {
@@ -110,10 +108,7 @@ def deck_text(problem: CurtainProblem, title: str = "") -> str:
         ),
         "LOADS": "\n".join(f"{i + 1}, {k + 1}, {problem.force[i, k]:.12g}" for i, k in np.argwhere(problem.force)),
     }
-    text = resources.files(__package__).joinpath("deck.inp").read_text(encoding="utf-8")
-    for key, value in fields.items():
-        text = text.replace(f"@{key}@", value)
-    return text.replace("\n\n", "\n")
+    return filled(__package__, "deck.inp", fields).replace("\n\n", "\n")
 
 
 def numbered(first: int, rows: Any) -> str:

@@ -142,10 +142,9 @@ def solve_largest(
     """Best states of the loads (n, 3), flags `unique` (n,), and the cell of their poses."""
     mesh, stages = replace(cell, cells=(1, 1), centres="plane"), cell.stages
     loaded = LoadedCell.of(mesh, sides_mm, options)
-    if options.branches == "first":
-        best = slack_states(loads, loaded)
-    else:
-        best = search(slack_states(loads, loaded), sample_states(mesh, sides_mm, options), None if stages else known)
+    best = slack_states(loads, loaded)
+    if options.branches != "first":
+        best = search(best, sample_states(mesh, sides_mm, options), None if stages else known)
     for mesh in stages:
         loaded = LoadedCell.of(mesh, sides_mm, options)
         best = search_beyond(best, known if mesh is stages[-1] else None, loaded)

@@ -14,7 +14,6 @@ elastic curtains use that of each direction (`homogenize.elastic_law`).
 """
 
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,7 @@ from homogenize.laws.geometry import OPTIONS, polyhedron_of
 from homogenize.laws.net import STATED_STIFFNESS
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import MembraneLaw
-from rve.common import Array, InputError, checked, write_text
+from rve.common import Array, InputError, checked, filled, write_text
 
 PER_STATEMENT = 38  # two a line: Fortran 77 takes 19 lines beside the first
 
@@ -47,10 +46,7 @@ def umat_source(law: MembraneLaw, title: str = "") -> str:
         "SMALL": f"{OPTIONS.dependent**2:.3E}".replace("E", "D"),
         "DATA": "\n".join(blocks),
     }
-    source = resources.files(__package__).joinpath("umat.f").read_text(encoding="utf-8")
-    for key, value in fields.items():
-        source = source.replace(f"@{key}@", value)
-    return source
+    return filled(__package__, "umat.f", fields)
 
 
 def even_law(law: MembraneLaw, turn: Array) -> MembraneLaw:

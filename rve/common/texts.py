@@ -11,10 +11,11 @@ import json
 import os
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from hashlib import sha256
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -251,6 +252,14 @@ def digits(value: float, count: int = 3) -> str:
     ('1230', '0.001235', '1.25e+07')
     """
     return f"{float(f'{value:.{count}g}'):g}"
+
+
+def filled(package: str, name: str, values: Mapping[str, str]) -> str:
+    """The text of the file `name` beside the modules of a package, each @KEY@ in it replaced by its value."""
+    text = resources.files(package).joinpath(name).read_text(encoding="utf-8")
+    for key, value in values.items():
+        text = text.replace(f"@{key}@", value)
+    return text
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
