@@ -109,7 +109,8 @@ def job_in(out, case):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_a_killed_command_leaves_the_old_or_the_new_result(inputs, tmp_path, name):
-    """Killed early and late, and as soon as it writes; where it ends before, its result is the new one."""
+    """Killed early and late, and as soon as it writes; where it ends before, its result is the new one. Pictures follow
+    when the data are in place."""
     case, found = CASES[name], []
     work, out = tmp_path / "work", tmp_path / "work" / "out"
     shutil.copytree(inputs, work)
@@ -119,6 +120,7 @@ def test_a_killed_command_leaves_the_old_or_the_new_result(inputs, tmp_path, nam
         seconds = finish(command, work)
         found.append(job_in(out, case))
     assert found[0] != found[1]
+    data = ([one for one in found[0][0] if not one.endswith(".png")], found[0][1]) if case.key else found[0]
     shutil.copytree(out, tmp_path / "old")
     for share in (0.3, 0.9, None):
         shutil.rmtree(out)
@@ -131,7 +133,7 @@ def test_a_killed_command_leaves_the_old_or_the_new_result(inputs, tmp_path, nam
             time.sleep(1e-4)
         process.kill()
         process.wait()
-        assert job_in(out, case) in (*found, None), share
+        assert job_in(out, case) in (*found, data, None), share
     finish(case.new, work)
     assert job_in(out, case) == found[0]
 
