@@ -13,6 +13,7 @@ import macro_fem
 from homogenize import fit
 from macro_fem import Bar, Combination, Corners, EdgeLoad, Hooks, Load, Mesh, Outline, Rectangle, Scene, Wind, solve
 from macro_fem.cli import main
+from macro_fem.judged import combination_rows
 from macro_fem.judged import envelope as envelope_of
 from macro_fem.output.told import governing_line, lean_note, loads_in_words
 from macro_fem.report import _sections, write_report
@@ -72,7 +73,8 @@ def test_factors_scale_forces_of_a_shape_that_stays():
     assert [row.combination for row in envelope.support_forces] == ["all"] * 2
     apart = HeldPoint(point="corner 1", at_mm=[9.0, 9.0], force_N=[0.0, 4.0], place_mm=[9.0, 9.0])  # of a finer mesh
     other = replace(summary, support_forces=(replace(supports[0], points=(apart,)),))
-    both = envelope_of([(factors[0], replace(summary, weakest_factor=None)), (factors[1], other)])
+    answers = [(factors[0], replace(summary, weakest_factor=None)), (factors[1], other)]
+    both = envelope_of(answers, combination_rows(answers))
     assert both.governing == "light"  # the other is as without load
     assert [row.combination for row in both.support_forces] == ["all", "all", "light"]
 
