@@ -101,10 +101,8 @@ def combined(scene: Scene, combination: Combination) -> Scene:
     return replace(scene, items=items, combination=(), weight=combination.weight)
 
 
-def solve_membrane(
-    scene: Scene, law: MembraneLaw | LawInterval | None = None, start: CurtainSolution | None = None
-) -> MembraneSolution:
-    """`solve` by a law, from the curtain `start` on the same mesh, if there is one."""
+def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -> MembraneSolution:
+    """`solve` by a law."""
     if not (isinstance(law, LawInterval | None) or hasattr(law, "support")):
         raise InputError(f"solve takes a law, OnDemand(cell) or EveryRing(cell), not a {type(law).__name__}")
     if law is None:
@@ -113,7 +111,7 @@ def solve_membrane(
     inner, law, outer = (law.inner, law.law, law.outer) if isinstance(law, LawInterval) else (law, law, None)
     check_sizes(scene, None if law.cell is None else law.cell.r1_mm)
     if not scene.solver.is_bounded:
-        return MembraneSolution(scene, tuple(_steps(scene, law, scene.load.steps, start)))
+        return MembraneSolution(scene, tuple(_steps(scene, law, scene.load.steps)))
     steps = _steps(scene, inner, scene.load.steps)
     if steps[-1].status != "converged":
         scene.refuse(f"[solver] bounds: need a converged curtain: {steps[-1].message}")
@@ -154,7 +152,7 @@ def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
     return MembraneSolution(bounded, (*early, found.level.solution), (found.level,), found)
 
 
-def _steps(scene: Scene, law: MembraneLaw, last: int, start: CurtainSolution | None = None) -> list[CurtainSolution]:
+def _steps(scene: Scene, law: MembraneLaw, last: int) -> list[CurtainSolution]:
     """The curtain at load steps 1 to `last`, each from the one before; for bounds it obeys the law everywhere."""
     mesh, count = build_mesh(scene, law.cell), scene.load.steps
     pose = admissible_problem if scene.solver.is_bounded else make_problem
@@ -162,7 +160,7 @@ def _steps(scene: Scene, law: MembraneLaw, last: int, start: CurtainSolution | N
     for step in range(1, last + 1):
         work = f"{mesh.mesh.t.shape[1]} cells, load step {step} of {count}"
         with part_of(work):
-            solution = solve_problem(pose(scene, law, mesh, step / count), steps[-1] if steps else start)
+            solution = solve_problem(pose(scene, law, mesh, step / count), steps[-1] if steps else None)
         if solution.status == "infeasible":
             at = f" at {step / count:.3g} of the prescribed moves" if count > 1 else ""
             table = "obstacle" if solution.stop == "blocked" else "support"

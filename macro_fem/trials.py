@@ -1,7 +1,7 @@
 """A curtain tried at many values of one quantity, under each of its load combinations, on one mesh.
 
-Answers are kept on disk as they come. Those that may be solved at the same time run side by side; each begins at the
-curtain of a value before, which is chosen before they run, so that answers do not depend on the number of processes.
+Answers are kept on disk as they come. Those that may be solved at the same time run side by side. Each begins anew, so
+that answers depend on no order: begun at the curtain of another value, a search of 50 runners took 104 s, not 110.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ import msgspec
 import numpy as np
 
 from homogenize import LawInterval, MembraneLaw, default_law, fit
-from macro_fem.curtain import CurtainSolution
 from macro_fem.demand import OnDemand
 from macro_fem.job import combined, solve, solve_membrane
 from macro_fem.scene.checks import check_scene
@@ -49,7 +48,7 @@ Who = MembraneLaw | LawInterval | OnDemand | None
 Case = Combination | None
 """A load combination; None: loads as they are, or all at once."""
 Key = tuple[float, Case]
-Task = tuple[Scene, Who, CurtainSolution | None]
+Task = tuple[Scene, Who]
 
 
 @dataclass(frozen=True)
@@ -84,13 +83,6 @@ class Sought:
         """What is solved at each value; rings on demand answer all combinations at once, by one law."""
         is_one = isinstance(self.who, OnDemand) and self.vary != "r2"
         return (None,) if is_one else self.scene.combination or (None,)
-
-    @property
-    def may_start(self) -> bool:
-        """Whether an answer may begin at that of another value, which has the same mesh and law and no history."""
-        scene = self.scene
-        is_plain = scene.load.steps == 1 and not scene.obstacle and not scene.solver.is_bounded
-        return self.vary in ("mass", "speed") and is_plain and not isinstance(self.who, OnDemand)
 
     def at(self, value: float) -> Scene:
         """The scene with the value in every part that has it."""
@@ -134,7 +126,6 @@ class Trials:
     on_answer: Callable[[], None] = lambda: None
     planned: int = 0
     answers: dict[Key, Row] = field(default_factory=dict)
-    _starts: dict[Case, CurtainSolution | None] = field(default_factory=dict)
     _laws: dict[float, Who] = field(default_factory=dict)
     _solved: int = 0
     _later: int = 0
@@ -168,15 +159,12 @@ class Trials:
                 tasks[key] = self._task(*key)
             except InputError as error:
                 self.answers[key] = self._row(key, {"status": str(error)})
-        curtains, self._began = dict[Key, CurtainSolution | None](), self._began or time.monotonic()
-        for key, (told, solution) in self._run(tasks):
+        self._began = self._began or time.monotonic()
+        for key, told in self._run(tasks):
             self.answers[key] = self._row(key, told)
             cache.put(self.sought.question(*key), asdict(self.answers[key]))
             self._solved += 1
             self.on_answer()
-            curtains[key] = solution
-        for key in tasks:
-            self._starts[key[1]] = curtains[key] or self._starts.get(key[1])
         self.on_answer()
         return bool(new)
 
@@ -206,8 +194,7 @@ class Trials:
         if case is not None:
             assert not isinstance(who, OnDemand)
             scene = combined(scene, case)
-        start = self._starts.get(case) or next(filter(None, self._starts.values()), None)
-        return scene, who, start if sought.may_start else None
+        return scene, who
 
     def _law(self, value: float) -> Who:
         """The law of a table of rings with wire of this radius."""
@@ -218,7 +205,7 @@ class Trials:
                 self._laws[value] = fit(with_rings(solve_table(cell), cell)).law
         return self._laws[value]
 
-    def _run(self, tasks: dict[Key, Task]) -> Iterator[tuple[Key, tuple[dict[str, Any], CurtainSolution | None]]]:
+    def _run(self, tasks: dict[Key, Task]) -> Iterator[tuple[Key, dict[str, Any]]]:
         """How tasks end, as they do."""
         if self.pool is None:
             for count, (key, task) in enumerate(tasks.items()):
@@ -249,19 +236,13 @@ class Trials:
         return f"{now}, about {left + self._later} answers left, {each} s each; {last.value:.6g} {unit}: {told}"
 
 
-def answer_of(scene: Scene, who: Who, start: CurtainSolution | None) -> tuple[dict[str, Any], CurtainSolution | None]:
-    """Fields of the `Row` of a scene, and its curtain at full load, where the next one may start.
-
-    Without convergence from `start` it is solved anew; its own combinations, if it has any, govern.
-    """
+def answer_of(scene: Scene, who: Who) -> dict[str, Any]:
+    """Fields of the `Row` of a scene; its own combinations, if it has any, govern."""
     try:
-        found: Any = solve(scene, who) if isinstance(who, OnDemand) else solve_membrane(scene, who, start)
-        if found.status == "converged":
-            return _fields(found.summary), found.solution
-        status = str(found.message)
+        found: Any = solve(scene, who) if isinstance(who, OnDemand) else solve_membrane(scene, who)
+        return _fields(found.summary) if found.status == "converged" else {"status": str(found.message)}
     except InputError as error:
-        status = str(error)
-    return ({"status": status}, None) if start is None else answer_of(scene, who, None)
+        return {"status": str(error)}
 
 
 def _fields(summary: CurtainSummary) -> dict[str, Any]:
