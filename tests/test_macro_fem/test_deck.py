@@ -1,5 +1,6 @@
 """A scene as a deck for CalculiX: what it holds and refuses, and the answer where CalculiX is built."""
 
+import json
 import os
 import re
 
@@ -81,6 +82,15 @@ def test_a_deck_holds_the_mesh_the_loads_and_the_bar_of_its_scene():
 def test_what_a_deck_cannot_hold_is_refused(more, message):
     with pytest.raises(InputError, match=message):
         deck_problem(read_scene(SQUARE | more), LAW)
+
+
+def test_a_deck_is_in_place_however_calculix_ends(tmp_path, monkeypatch):
+    (tmp_path / "scene.toml").write_text(SCENES["plane"])
+    monkeypatch.setenv("CALCULIX", str(tmp_path / "missing"))
+    with pytest.raises(InputError, match="missing"):
+        run_deck(tmp_path / "scene.toml", None, tmp_path / "out")
+    assert json.loads((tmp_path / "out" / "deck.json").read_text())["status"] == "written"
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["deck.inp", "deck.json", "umat.f"]
 
 
 @pytest.mark.skipif("CALCULIX" not in os.environ, reason="CALCULIX is not the folder made by .ci/calculix")
