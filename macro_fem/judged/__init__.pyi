@@ -11,6 +11,7 @@ from .forces import spot_loads as spot_loads
 from .forces import support_forces as support_forces
 from .forces import support_rows as support_rows
 from .line_load import FINE as FINE
+from .line_load import Disks as Disks
 from .line_load import Extreme as Extreme
 from .line_load import Nearby as Nearby
 from .line_load import judge_line_loads as judge_line_loads

@@ -24,7 +24,7 @@ from homogenize.laws import Strength, strength_of_law
 from macro_fem.curtain import CurtainSolution
 from macro_fem.fem.hung_law import HungLaw, largest_stretch
 from macro_fem.judged.forces import TOUCHES, PointForce, first_of_largest, point_forces, pushes_of, spot_loads
-from macro_fem.judged.line_load import FINE, Extreme, Nearby
+from macro_fem.judged.line_load import FINE, Extreme, Nearby, disks_of
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import Bar, EdgeLoad
 from macro_fem.summary import RingStrength, Utilisation
@@ -161,11 +161,11 @@ def _largest_asked(
 ) -> tuple[Nearby, tuple[Extreme, ...], tuple[Extreme, ...]]:
     """Averages of S over one cell of the weave; extreme utilisations by them, by forces at points, and of the rings
     there, at first yield and at collapse."""
-    own, mesh = solution.recovered(solution.S), solution.problem.mesh.mesh
+    own = solution.recovered(solution.S)
     S = solution.problem.law.in_weave(own)
     # Utilisation is the tensile trace over a weighted mean of strengths, and the trace is convex in S.
     trace = np.maximum(eigenvalues(S), 0.0).sum(axis=0)
-    near = Nearby(mesh.p.T, mesh.t.T, S, trace, cell.b_x_mm * cell.b_y_mm)
+    near = Nearby(disks_of(solution.problem.mesh, cell.b_x_mm * cell.b_y_mm), S, trace)
     first, last = hook_rings(solution, known, cell)
 
     def asked(value: Callable[[Array], Array], strengths: Array, ring: Extreme) -> tuple[Extreme, ...]:

@@ -15,7 +15,7 @@ from macro_fem.output.images import Draw
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import LiveLoad, Timed
-from rve.common import Array, tell
+from rve.common import Array, tell, time_left
 
 COLUMNS = (
     *("t_s", "mean_x_mm", "mean_y_mm", "mean_z_mm", "lowest_point_mm", "kinetic_N_mm", "potential_N_mm", "stored_N_mm"),
@@ -214,12 +214,17 @@ class Mover(ABC, Generic[F, A]):
         """
         frame = start or replace(self.first_frame(), h=self.first_step)
         end, near, least = self.motion.duration, self.near, PACE.smallest * self.first_step
+        begun, first, count = time.monotonic(), frame.moment.t, 0
         releases = {item.release for item in self.scene.support if item.release is not None}
         timed = self.scene.of(Timed) if self.motion.step is None else ()
         kinks = {t for item in timed for t, _ in item.history}
         yield frame
         while (t := frame.moment.t) < end - near:
-            tell(f"{self.what} in motion, {t:.4g} of {end:.4g} s")
+            share = (t - first) / (end - first)
+            of = f" of about {count + max(1, round((end - t) / frame.h))}" if frame.h > 0.0 else ""
+            done = f"step {count + 1}{of}, {t:.4g} of {end:.4g} s"
+            tell(f"{self.what} in motion, {done}; {time_left(begun, share)}")
+            count += 1
             if any(abs(t - release) <= near for release in releases):
                 frame = replace(frame, is_euler=True)
             stops = [one for one in releases if one > t + near] + [max(k, t + least) for k in kinks if k > t + near]
