@@ -31,3 +31,4 @@ from .verdict import combination_rows as combination_rows
 from .verdict import envelope as envelope
 from .verdict import judge as judge
 from .verdict import links as links
+from .verdict import severity as severity

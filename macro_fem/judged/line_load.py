@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 
-from macro_fem.curtain import CurtainSolution
+from macro_fem.curtain import CurtainState
 from macro_fem.fem.cells import signed_areas
 from macro_fem.judged.forces import PointForce
 from macro_fem.scene.loads import disk_areas
@@ -45,7 +45,7 @@ class Extreme(NamedTuple):
     force: PointForce | None = None
 
 
-def judge_line_loads(solution: CurtainSolution) -> LineLoads:
+def judge_line_loads(solution: CurtainState) -> LineLoads:
     """The largest line loads for summary.json; averages are None for a law that has no cell."""
     cell, peak = solution.problem.law.cell, largest(solution)
     area = None if cell is None else cell.b_x_mm * cell.b_y_mm
@@ -59,14 +59,14 @@ def judge_line_loads(solution: CurtainSolution) -> LineLoads:
     )
 
 
-def largest(solution: CurtainSolution) -> Extreme:
+def largest(solution: CurtainState) -> Extreme:
     """The largest principal line load of any cell, and the middle of that cell."""
     values, mesh = solution.principal()[0][:, 0], solution.problem.mesh.mesh
     cell = int(values.argmax())
     return Extreme(float(values[cell]), mesh.p[:, mesh.t[:, cell]].mean(axis=1))
 
 
-def largest_mean(solution: CurtainSolution, area: float) -> Extreme:
+def largest_mean(solution: CurtainState, area: float) -> Extreme:
     """The largest singular value of P averaged over the `area` (mm2) nearest to a corner of the mesh."""
     P = solution.recovered(solution.P)
     size = np.linalg.norm(P, 2, axis=(1, 2))

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 
-Listener = Callable[[str], None]
+Listener = Callable[[str], object]
 
 _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
