@@ -102,7 +102,7 @@ class Disks:
     def _around(self, x: Array, radius: float) -> np.ndarray:
         """The triangles that may have a point within `radius` of x (2,), in the order of their numbers."""
         cells = np.array(self.tree.query_ball_point(x, radius + self.half.max(), return_sorted=True), dtype=int)
-        return cells[np.linalg.norm(self.middle[cells] - x, axis=1) <= radius + self.half[cells]]
+        return np.asarray(cells[np.linalg.norm(self.middle[cells] - x, axis=1) <= radius + self.half[cells]])
 
     def nearest(self, x: Array, area: float = 0.0) -> tuple[np.ndarray, Array, float]:
         """Triangles (k,) that the disk around x (2,) meets, the area (k,) of each in it, and its radius."""
@@ -153,7 +153,7 @@ class Nearby:
                 break
             if i not in self._means:
                 cells, part = self.disks.at_point(i)
-                self._means[i] = np.tensordot(part, self.P[cells], axes=1) / part.sum()
+                self._means[i] = np.asarray(np.tensordot(part, self.P[cells], axes=1) / part.sum())
             mean = self._means[i]
             found = float(value(mean[None])[0])
             if found > (1.0 + ALIKE) * best.value:
@@ -177,4 +177,4 @@ class Nearby:
         """Longest part in mm of the line from x (2,) along m (2,) that lies in one of the averages centred on it."""
         steps = STEPS * self.disks.nearest(x)[2]
         radii = [self.disks.nearest(x + t * m)[2] for t in steps]
-        return max(radius + min(t, radius) for t, radius in zip(steps, radii, strict=True))
+        return float(max(radius + min(t, radius) for t, radius in zip(steps, radii, strict=True)))

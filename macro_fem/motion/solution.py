@@ -13,7 +13,7 @@ from homogenize import MembraneLaw
 from macro_fem.answer import Solution
 from macro_fem.motion.curtain import MovingCurtain
 from macro_fem.motion.pace import COLUMNS, Run
-from macro_fem.motion.rings import MovingRings
+from macro_fem.motion.rings import MovingRings, RingFrame
 from macro_fem.motion.series import AnyMover, Series, chosen
 from macro_fem.motion_summary import MotionSummary
 from macro_fem.output.images import Draw, in_turn, save_animation, save_panels
@@ -108,12 +108,9 @@ class MotionSolution(Solution):
 
     def rings(self) -> FiniteSolution:
         """Every ring at the end, of a scene solved ring by ring; InputError of one by a law."""
-        rings = getattr(self.series.last, "rings", None)
-        if not isinstance(rings, FiniteSolution):
-            raise InputError(
-                "rings: of a curtain in motion by a law are not placed; solve(scene, EveryRing()) moves them"
-            )
-        return rings
+        if isinstance(last := self.series.last, RingFrame):
+            return last.rings
+        raise InputError("rings: of a curtain in motion by a law are not placed; solve(scene, EveryRing()) moves them")
 
 
 def mover_of(scene: Scene, who: MembraneLaw | EveryRing) -> AnyMover:
