@@ -18,9 +18,9 @@ import macro_fem
 from homogenize import default_law, with_material
 from macro_fem import read_scene
 from macro_fem.cli import main
+from macro_fem.modes import find_modes
 from macro_fem.motion import files, pace
 from macro_fem.motion.curtain import MovingCurtain
-from macro_fem.motion.modes import find_modes
 from macro_fem.motion.pace import COLUMNS
 from macro_fem.motion.series import account_error
 from macro_fem.motion.stage import masses_of, mesh_masses, scene_at
