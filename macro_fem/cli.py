@@ -168,7 +168,7 @@ def modes(scene: Path, law_path: Path | None, number: int, out: Path, picture: b
 
     Exit code 0: found; 1: the curtain at rest has not converged; 2: bad input; 3: only the picture failed.
     """
-    from macro_fem.motion.modes import run_modes
+    from macro_fem.modes import run_modes
 
     found, failed = made(run_modes, scene, law_path, out, number=number, picture=picture)
     hertz = ", ".join(f"{one:.4g}" for one in found.frequencies_Hz)
