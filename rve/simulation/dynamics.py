@@ -119,9 +119,7 @@ class Dynamics:
         return out.reshape(len(T), -1, 2, T.shape[2])
 
     def polygon(self) -> Array:
-        """The corners (directions, 2) of the unit polygon of friction forces; without friction one force at 0."""
-        if not self.options.friction:
-            return np.zeros((1, 2))
+        """The corners (directions, 2) of the polygon of friction forces under a unit normal force."""
         angle = 2.0 * np.pi * np.arange(self.options.directions) / self.options.directions
         return self.options.friction * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 

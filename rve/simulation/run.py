@@ -253,8 +253,8 @@ def simulate(
     reference cell.
 
     >>> rest = simulate(Cell(), ([0.0], [45.0]))
-    >>> print(rest.status[0], rest.E[0].round(4))
-    converged [ 0.2109  0.     -0.1057]
+    >>> print(rest.status[0], rest.E[0, [0, 2]].round(4))
+    converged [ 0.2109 -0.1057]
     """
     options = options or SimulationOptions()
     if isinstance(loads, LoadHistory):
@@ -305,12 +305,8 @@ def follow(s: Array, times: Array, dynamics: Dynamics) -> tuple[CellMotion, Arra
     end = end.take(np.argsort(end.row))
     failed = np.where(end.h < options.h_min, "time-step", "step-limit")
     status = np.where(np.isfinite(lost[:, -1]), "converged", failed)
-    return (
-        replace(end, status=status.astype("<U16")),
-        lattice,
-        lost,
-        History(*map(np.concatenate, zip(*log, strict=True))),
-    )
+    history = History(*map(np.concatenate, zip(*log, strict=True)))
+    return replace(end, status=status.astype("<U16")), lattice, lost, history
 
 
 def timed(motion: CellMotion, s: Array, times: Array, options: SimulationOptions) -> CellMotion:
@@ -390,7 +386,7 @@ def friction_loop(
 
     >>> options = SimulationOptions(friction=0.1, directions=8, tolerance=1e-4)
     >>> print(friction_loop(Cell(), (0.0, 30.0), (0.0, 60.0), options, increments=3))
-    FrictionLoop: lost 0.0
+    FrictionLoop: lost 0.04204 s_hat, damping ratio 0.539
     """
     there = np.linspace(first, second, increments + 1)
     angles = np.concatenate([there, there[-2::-1], there[1:]])
