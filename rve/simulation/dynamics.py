@@ -127,7 +127,7 @@ class Dynamics:
         """Largest speed of a ring's centre (r1/s) or of its rotation (rad/s), (n,)."""
         speed = np.einsum("rxm,nm->nrx", self.ring_maps, v)
         spin = v[:, turns_of(self.equations.weave, 0).start :].reshape(len(v), -1, 3)
-        return np.sqrt(np.maximum((speed**2).sum(axis=2).max(axis=1), (spin**2).sum(axis=2).max(axis=1)))
+        return np.asarray(np.sqrt(np.maximum((speed**2).sum(axis=2).max(axis=1), (spin**2).sum(axis=2).max(axis=1))))
 
     def kinetic_energy(self, v: Array) -> Array:
         """Kinetic energy of all rings, (n,)."""
@@ -146,7 +146,8 @@ class Dynamics:
         """
         left = np.matmul(((v_new - v) / h[:, None])[:, None], self.mass) + np.matmul(v_new[:, None], self.drag)
         top = (left * np.matmul(left, self.inverse_mass)).sum(axis=(1, 2))
-        return np.sqrt(np.maximum(top, 0.0) * self.ring_mass / np.maximum((load**2).sum(axis=1), LEAST_LOAD**2))
+        size = np.maximum((load**2).sum(axis=1), LEAST_LOAD**2)
+        return np.asarray(np.sqrt(np.maximum(top, 0.0) * self.ring_mass / size))
 
 
 LEAST_LOAD = 1e-3
