@@ -335,8 +335,10 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: Any, out: Pa
 @click.option("--max-rings", type=click.IntRange(min=1), default=100_000, show_default=True, help="More are refused.")
 @click.option("--picture/--no-picture", default=True, show_default=True, help="Draw rings.png (needs pyvista).")
 @click.option("--html", is_flag=True, help="Write rings.html, which turns in a browser (needs plotly).")
-@click.option("--stl", is_flag=True, help="Write rings.stl, tori for CAD and printing.")
-def localize(curtain: Path, out: Path, window: str | None, max_rings: int, **files: bool) -> None:
+@click.option(
+    "--format", "solids", type=click.Choice(["3mf", "glb", "stl"]), help="Write tori for printers, CAD and browsers."
+)
+def localize(curtain: Path, out: Path, window: str | None, max_rings: int, **files: Any) -> None:
     """Every ring of CURTAIN, the folder of a run: rings.vtu, rings.png, worst_cell.csv, localize.json."""
     from macro_fem.output.told import ring_field_lines
     from macro_fem.rings.localize import run_localize

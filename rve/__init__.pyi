@@ -9,6 +9,7 @@ from .finite import FiniteMesh as FiniteMesh
 from .geometry import WEAVES as WEAVES
 from .geometry import Cell as Cell
 from .locking.interior_point import DirectOptions as DirectOptions
+from .piece import Piece as Piece
 from .solve import reference_cell as reference_cell
 from .solve import solve_table as solve_table
 from .support_function import support as support

@@ -1,4 +1,4 @@
-"""Command line: `python -m rve table`, `case`, `support`, `sweep`, `study`. `--help` of each says what it takes.
+"""Command line: `python -m rve table`, `case`, `support`, `ring`, `export`, `sweep`, `study`. `--help` says more.
 
 How commands end: `rve.common.commands.command_line`.
 """
@@ -11,7 +11,17 @@ from typing import Any
 
 import click
 
-from rve.common import SENTENCES, InputError, NotConverged, numbers_of, read_json_object, sidecar_path, tell
+from rve.common import (
+    SENTENCES,
+    InputError,
+    NotConverged,
+    check_out_file,
+    digits,
+    numbers_of,
+    read_json_object,
+    sidecar_path,
+    tell,
+)
 from rve.common.cell_fields import Joint, check_ring_size
 from rve.common.commands.command_line import Group, answer, check_plot, options, parse_load, say, say_next
 from rve.common.commands.sweeps import SweepItem, further_options, run_sweep, sweep_options
@@ -218,6 +228,57 @@ def support_command(load: str, branches: Any, reference: Any, **cell: Any) -> No
     if mesh.bound_note:
         say(mesh.bound_note, err=True)
     answer(found.row(0) | ring_sizes(mesh.r1, mesh.r2), always=True)
+
+
+@main.command(name="ring", epilog="Example: rve ring --inner 8 --gauge '16 swg' --weave 6-in-1")
+@cell_options
+def ring_command(**cell: Any) -> None:
+    """Print a ring in both spellings, its mass, where its weave jams, and how many go into a metre of mesh."""
+    from rve.piece import ring_facts
+
+    mesh = asked_cell(**cell)
+    facts = ring_facts(mesh)
+    lines = [
+        f"ring of {ring_words(mesh.r1, mesh.r2)}",
+        f"{1e3 * facts['ring_mass_kg']:.4g} g of {mesh.material.name}, {facts['wire_length_mm']:.4g} mm of wire",
+        f"{mesh.weave.name}: clearance {digits(facts['slack_clearance_mm'])} mm where the mesh is slack; jams at AR "
+        f"{facts['least_aspect_ratio']:.3f}, which is wire of {facts['thickest_wire_at_this_inner_mm']:.4g} mm",
+    ]
+    for name, state in facts["mesh"].items():
+        along, across, rings, mass = (digits(number, 4) for number in state.values())
+        lines.append(
+            f"{name.replace('_', ' ')}: a metre has {across} cells across and {along} along the grain; {rings} rings, "
+            f"{mass} kg a square metre"
+        )
+    answer(facts, "\n".join(lines))
+
+
+@main.command(epilog="Example: rve export --inner 8 --wire 1.6 --size 120x80 --clearance 0.5 --out part.3mf")
+@click.option("--out", required=True, type=FILE, help="File to write: .3mf, .glb or .stl.")
+@click.option("--size", required=True, help="Room for the piece, WIDTHxHEIGHT in mm; its rings are whole.")
+@click.option("--clearance", type=float, help="Least gap of rings in mm; wire is made thinner where need be.")
+@click.option("--load", metavar="ALPHA,BETA", help="Locked under this load, degrees, instead of slack.")
+@cell_options
+def export(out: Path, size: str, clearance: float | None, load: str | None, **cell: Any) -> None:
+    """Write a piece of mesh for printers, CAD or browsers: as many whole rings as there is room for."""
+    from rve.piece import Piece
+    from rve.placed.solids import SOLID_ENDINGS
+
+    check_out_file(out, endings=SOLID_ENDINGS)
+    width, height = numbers_of(size.replace("x", ","), "--size", "WIDTH,HEIGHT")
+    angles: Any = None if load is None else tuple(numbers_of(load, "--load", "ALPHA,BETA"))
+    mesh = asked_cell(**cell)
+    try:
+        piece = Piece.cut(mesh, (width, height), clearance, angles)
+    except InputError as error:
+        raise InputError(f"--{error}") from None
+    thinner = 2.0 * (mesh.r2 - piece.cell.r2)
+    say(*[f"wire is {digits(thinner)} mm thinner than asked for, for the clearance"] * (thinner > 0.0))
+    piece.save(out)
+    say(f"{out}: {piece}")
+    answer({"out": str(out), **piece.record, "wire_thinner_by_mm": thinner})
+    sizes = ("--r1", digits(piece.cell.r1, 6), "--r2", digits(piece.cell.r2, 6), "--weave", piece.cell.weave.name)
+    say_next("rve", "table", *sizes, "--out", out.with_suffix(".csv"), why="where these rings lock")
 
 
 @main.command(

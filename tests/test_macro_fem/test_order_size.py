@@ -334,7 +334,7 @@ def test_rings_as_stl_are_closed_and_have_the_volume_of_their_wire(tmp_path):
     import meshio
 
     rings = solve(Scene(Rectangle(60.0, 50.0), [Corners()], mesh=Mesh(cells=3))).rings()
-    rings.save(tmp_path, picture=False, stl=True)
+    rings.save(tmp_path, picture=False, solids="stl")
     read = meshio.read(tmp_path / "rings.stl")
     a, b, c = np.moveaxis(read.points[read.cells_dict["triangle"]].astype(float), 1, 0)
     volume = np.einsum("ij,ij->", a - a.mean(axis=0), np.cross(b - a.mean(axis=0), c - a.mean(axis=0))) / 6.0
