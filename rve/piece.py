@@ -109,8 +109,8 @@ class Piece:
         touch = "" if self.clearance_mm > 1e-6 * self.cell.r1 else "; rings touch, and printers need a clearance"
         return (
             f"{told['rings']} rings of {ring_words(self.cell.r1, self.cell.r2)}\n"
-            f"{size} mm, {digits(1e3 * told['mass_kg'], 4)} g of {self.cell.material.name}; {self.links} links, all and "
-            f"only those of {told['weave']}\nleast clearance {0.0 if touch else self.clearance_mm:.3g} mm{touch}"
+            f"{size} mm, {digits(1e3 * told['mass_kg'], 4)} g of {self.cell.material.name}; {self.links} links, all "
+            f"and only those of {told['weave']}\nleast clearance {0.0 if touch else self.clearance_mm:.3g} mm{touch}"
         )
 
     __repr__ = __str__
