@@ -20,7 +20,7 @@ from macro_fem.output.told import lean_note, loads_in_words
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.support_kinds import Track
 from macro_fem.scene.tables import in_3d
-from macro_fem.summary import CurtainSummary, SupportForce
+from macro_fem.summary import CombinationRow, CurtainSummary, SupportForce
 from rve.common import atomic_path, checksum, digits, json_text, require
 from rve.common.optional import Figure
 
@@ -390,28 +390,24 @@ def _factors(solution: CurtainSolution, cases: Sequence[tuple[str, CurtainSummar
     groups = [("", 1), ("a ring, at times the loads", 2), ("utilisation, 1: yields", 4), ("sum of loads, N", len(axes))]
     tables.append(Table("Rings", head, rows, groups))
     if summary.combinations is not None:
-        head = (
-            "combination",
-            "partial factors",
-            "answer",
-            "largest force, N",
-            "first yield",
-            "factor",
-            "first to give",
-        )
-        rows = []
-        for one in summary.combinations:
-            parts = ", ".join(f"{name} {value:g}" for name, value in one.factors.items())
-            factors = (_or_none(one.safety_factor, 4), _or_none(one.weakest_factor, 4))
-            first = ", ".join(filter(None, [one.weakest, one.weakest_place]))
-            rows.append([one.name, parts, one.status, digits(one.largest_force_N, 4), *factors, first])
-        tables.append(Table("Load combinations", head, rows))
-    used = "Where the rings are used, 1 is first yield; circles: rings at hooks and other held and loaded points."
-    shown = Picture(lambda width: plans.draw_hung(solution, width, HIGH, used=True), 0.5 * PAGE, used)
+        tables.append(_combinations(summary.combinations))
+    words = "Where the rings are used, 1 is first yield; circles: rings at hooks and other held and loaded points."
+    shown = Picture(lambda width: plans.draw_hung(solution, width, HIGH, used=True), 0.5 * PAGE, words)
     is_drawn = summary.utilisation_max is not None and not solution.problem.scene.in_space
-    return Section(
-        "Factors and the weakest link", (), [[shown]] if is_drawn else [], [one for one in tables if one.rows]
-    )
+    filled = [one for one in tables if one.rows]
+    return Section("Factors and the weakest link", (), [[shown]] if is_drawn else [], filled)
+
+
+def _combinations(each: Sequence[CombinationRow]) -> Table:
+    """Load combinations with their partial factors, and what gives first under them."""
+    head = ("combination", "partial factors", "answer", "largest force, N", "first yield", "factor", "first to give")
+    rows = []
+    for one in each:
+        parts = ", ".join(f"{name} {value:g}" for name, value in one.factors.items())
+        factors = (_or_none(one.safety_factor), _or_none(one.weakest_factor))
+        first = ", ".join(filter(None, [one.weakest, one.weakest_place]))
+        rows.append([one.name, parts, one.status, digits(one.largest_force_N, 4), *factors, first])
+    return Table("Load combinations", head, rows)
 
 
 def _order(solution: CurtainSolution, summary: CurtainSummary) -> Section:
