@@ -377,7 +377,7 @@ def _parts(force: Sequence[float], least: float, d: int) -> list[str]:
 def _factors(solution: CurtainSolution, cases: Sequence[tuple[str, CurtainSummary]]) -> Section:
     """What gives first at how many times the loads, as given and under each combination."""
     summary = cases[0][1]
-    given = [[one.name, digits(one.factor, 4), one.text] for one in links(summary)]
+    given = [[one.name, digits(one.factor, 4), one.text] for one in links(summary, summary.support_forces)]
     tables = [Table("Links, loads as given without partial factors", ("link", "factor", "what gives"), given)]
     axes = ("x", "y", "z")[: len(summary.total_load_N)]
     head = ("loads", "yields", "collapses", "largest", "mesh", "at points", "rings at hooks", *axes)
