@@ -4,7 +4,8 @@ Figures have the size in mm at which they are printed; each is drawn with words 
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from macro_fem.curtain import CurtainSolution, placed_obstacles
 from macro_fem.fem.cells import padded
 from macro_fem.judged import spot_loads
 from macro_fem.output import space_view
-from macro_fem.output.images import compose
+from macro_fem.output.images import Draw, compose
 from macro_fem.output.pictures import draw_loads, plot_line_loads, plot_utilisation
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.obstacles import unit
@@ -23,7 +24,8 @@ from macro_fem.scene.support_kinds import Curve, Hanging, Track
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, Wind, in_3d
 from rve.common import Array, digits
 from rve.common.drawing.plane import VERMILION, as_typed, new_figure
-from rve.common.optional import Axes, Figure
+from rve.common.drawing.space import new_plotter
+from rve.common.optional import Axes, Figure, Plotter
 
 INCH, WORDS, DPI = 25.4, 7.0, 250
 """mm; the size of words in points; of what is an image."""
@@ -227,14 +229,35 @@ def side_is_slim(solution: CurtainSolution) -> bool:
 
 def draw_view(solution: CurtainSolution, width: float) -> Figure:
     """The curtain in space, coloured by its line loads, with all forces on it."""
-    plotter = space_view.draw_curtain(solution)
-    figure = compose(plotter, "")
+    return draw_views([partial(space_view.draw_curtain, solution)], width)
+
+
+def draw_views(views: Sequence[Draw], width: float) -> Figure:
+    """Views in space side by side, with the bar of colours and the legend below."""
+    plotter = new_plotter(len(views))
+    for panel, draw in enumerate(views):
+        plotter.subplot(0, panel)
+        draw(plotter)
+    return printed(plotter, width)
+
+
+def printed(plotter: Plotter, width: float) -> Figure:
+    """The panels of a plotter, which is closed, as a figure."""
+    figure, panels = compose(plotter, ""), len(plotter.renderers)
     plotter.close()
-    for one in figure.legends:  # below the bar of colours, in one column
+    for one in figure.legends:  # below the bar of colours, in one column where it is narrow
         names, marks = [text.get_text() for text in one.get_texts()], [mark for mark in one.legend_handles if mark]
-        figure.legend(marks, names, loc="outside lower left", frameon=False, fontsize=WORDS, handlelength=1.0)
+        style: dict[str, Any] = {"frameon": False, "fontsize": WORDS, "handlelength": 1.0}
+        figure.legend(marks, names, loc="outside lower left", ncols=1 if panels == 1 else 3, **style)
         one.remove()
-    figure.set_size_inches(width / INCH, 0.96 * width / INCH)
+    figure.set_size_inches(width / INCH, (0.96 * width if panels == 1 else 0.9 * width / panels + 28.0) / INCH)
+    return figure
+
+
+def draw_axes(width: float, height: float, plot: Callable[[Axes], Axes]) -> Figure:
+    """What a function plots on axes."""
+    figure = new_figure(width / INCH, height / INCH)
+    plot(figure.subplots())
     return figure
 
 
