@@ -1,5 +1,6 @@
 """Solving a scene, from Python and from files."""
 
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, overload
@@ -60,10 +61,10 @@ def solve(scene: Scene, who: Who = None) -> Solution:
         scene.refuse("[motion]: is for a curtain over time, use macro_fem run or MovingCurtain")
     if isinstance(who, EveryRing):
         return solve_every_ring(scene, who)
-    answer = _solve_alone(scene, who)
-    others = []
+    begun, count = time.monotonic(), len(scene.combination)
+    answer, others = _solve_alone(scene, who), []
     for number, one in enumerate(scene.combination, 1):
-        with part_of(f"combination {one.name}, {number} of {len(scene.combination)}"):
+        with part_of(f"combination {one.name}, {number} of {count}", number, count + 1, begun):
             others.append((one, _solve_alone(combined(scene, one), who)))
     with part_of("forces on a coarser mesh"):
         return replace(answer, combinations=tuple(others), coarser=_coarser(answer, who))

@@ -296,7 +296,7 @@ def _drawings(out: Path, mover: AnyMover, frames: Sequence[Frame], wanted: Pictu
 
     def draw_panels(path: Path) -> None:
         at, draws = zip(*moments(PANELS), strict=True)
-        save_panels(path, draws, f"at {', '.join(at)}")
+        save_panels(path, draws, mover.scene.source.stem, at)
 
     def encode(path: Path) -> None:
         even = "scale=trunc(iw/2)*2:trunc(ih/2)*2,format=yuv420p"  # what every player shows

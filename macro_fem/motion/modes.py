@@ -315,4 +315,5 @@ def draw_shapes(path: Path, modes: Modes) -> None:
         look(plotter, THREE_QUARTERS)
     each = zip(modes.frequencies_Hz, modes.multiplicity, strict=True)
     words = (f"{one:.3g} Hz ({count} modes)" if count > 1 else f"{one:.3g} Hz" for one, count in each)
-    save_picture(path, plotter, ", ".join(words))
+    numbered = [f"{number}: {one}" for number, one in enumerate(words, 1)]
+    save_picture(path, plotter, "natural frequencies and their shapes", numbered)
