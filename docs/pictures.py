@@ -33,6 +33,9 @@ def main() -> None:
         put(folder / "curtain" / "curtain.png", HERE / "curtain.png")
         macro_fem.localize(folder / "curtain").save(folder / "rings")
         put(folder / "rings" / "rings.png", HERE / "rings.png")
+        window = macro_fem.localize(folder / "curtain", (440.0, 440.0, 560.0, 560.0))
+        window.save(folder / "metal", picture=False, render=True)
+        put(folder / "metal" / "render.png", HERE / "rings_metal.png")
         macro_fem.solve(ON_A_TRACK).rings().save(folder / "space")
         put(folder / "space" / "rings.png", HERE / "rings_space.png")
 

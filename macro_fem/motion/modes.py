@@ -38,7 +38,7 @@ from macro_fem.scene.supports import build_supports
 from macro_fem.scene.tables import Bar, Wind
 from rve.common import Array, InputError, NotConverged, job, versions
 from rve.common.drawing.plane import Scale
-from rve.common.drawing.space import THREE_QUARTERS, add, add_length, below, look, new_plotter, surface
+from rve.common.drawing.space import THREE_QUARTERS, add, add_length, look, new_plotter, surface
 from rve.common.files import write_mesh_file
 
 
@@ -311,7 +311,7 @@ def draw_shapes(path: Path, modes: Modes) -> None:
         drawn[scale.label] = np.linalg.norm(shape, axis=1)
         add(plotter, f"shape {panel + 1}", drawn, scale)
         add_supports(plotter, modes.solution, problem.mesh.size)
-        add_length(plotter, below(rest), problem.mesh.size)
+        add_length(plotter, rest, problem.mesh.size)
         look(plotter, THREE_QUARTERS)
     each = zip(modes.frequencies_Hz, modes.multiplicity, strict=True)
     words = (f"{one:.3g} Hz ({count} modes)" if count > 1 else f"{one:.3g} Hz" for one, count in each)

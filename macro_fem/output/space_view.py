@@ -203,7 +203,7 @@ def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: PictureFrame, 
         body = pyvista.Capsule(center=feet + 0.42 * up, direction=up, radius=radius, cylinder_length=length)
         head = pyvista.Sphere(radius=0.065 * PERSON_MM, center=feet + 0.93 * up)
         space.add(plotter, "person, 1.75 m", body + head, space.MEASURE)
-    space.add_length(plotter, foot + np.array([0.0, 0.006 * size, 0.0]), size)
+    space.add_length(plotter, foot[None] + [0.0, 0.006 * size, 0.0], size)
     space.add(plotter, "_shadow", shadow, SHADOW, **space.FLAT)
     thrown = box + max(box[1, 1] - ground, 0.0) * LIGHT  # the patch is as large in all pictures of a series
     beside = foot - [[0.4 * PERSON_MM if is_large else 0.0, 0.0, 0.0]]

@@ -16,7 +16,7 @@ from macro_fem.output.pictures import Drawings, Pictures, draw_all
 from macro_fem.rings.curtain import Curtain, Sites
 from rve import Cell
 from rve.common import Array, Index, InputError, checked, csv_text, digits, job, versions, write_text
-from rve.common.drawing.space import THREE_QUARTERS, add, add_length, below, lines, look, new_plotter, sheet_axes
+from rve.common.drawing.space import THREE_QUARTERS, add, add_length, lines, look, new_plotter, sheet_axes
 from rve.common.optional import Axes, Plotter
 from rve.placed import NEAR, POSE_MEANINGS, CellForces, DrawnRings, Fit, NearestPoses
 
@@ -214,10 +214,14 @@ class RingField:
         plotter.subplot(0, 0)
         rings.draw(plotter)
         window = replace(rings, centre=centre[at][None], normal=sheet_normal[None], r1=half)
-        add(plotter, "close-up at the largest line load", lines(window.closed_circles(96)), BLACK, line_width=6)
-        add_length(plotter, below(centre), float(np.linalg.norm(np.ptp(centre, axis=0))))
+        size = float(np.linalg.norm(np.ptp(centre, axis=0)))
+        if 2.0 * half < size:
+            add(plotter, "close-up at the largest line load", lines(window.closed_circles(96)), BLACK, line_width=6)
+        axes = self._axes
+        add_length(plotter, centre, size, axes)
         is_plane = np.abs(centre[:, 2]).max() <= 1e-9 * np.abs(centre).max()
-        look(plotter, (0.0, 0.0, -1.0) if is_plane else self._facing)
+        tilt = [0.0, 0.0, -1.0] if is_plane else [0.3, -0.25, -1.0]
+        look(plotter, THREE_QUARTERS if axes is None else np.array(tilt) @ axes)
         plotter.subplot(0, 1)
         near = np.linalg.norm(centre - centre[at], axis=1) < 1.3 * half
         force = self.contact_force_N[near]
@@ -229,14 +233,12 @@ class RingField:
         return plotter
 
     @property
-    def _facing(self) -> Any:
-        """The direction in which one looks at the mesh: at its front where it is flat, else at the curtain's."""
+    def _axes(self) -> Array | None:
+        """Right, up and front of the mesh where it is flat; None where it is bent."""
         away = self.centre_mm - self.centre_mm.mean(axis=0)
         size = np.linalg.svd(away, compute_uv=False)
-        if len(size) < 3 or size[2] > FLAT_PART * size[1]:
-            return THREE_QUARTERS
-        right, up, front = sheet_axes(self.centre_mm)
-        return 0.3 * right - 0.25 * up - front
+        is_bent = len(size) < 3 or size[2] > FLAT_PART * size[1]
+        return None if is_bent else sheet_axes(self.centre_mm)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Centre lines of all rings seen from the front, coloured by contact force, on `ax` or axes of their own."""

@@ -137,24 +137,23 @@ def sheet_axes(points: Array) -> Array:
     return np.stack([right, np.cross(front, right), front])
 
 
-def below(points: Array) -> Array:
-    """A place a little below points (n, 3), at their left and in front of them, so that they do not hide it."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    return np.array([low[0], low[1] - 0.06 * np.linalg.norm(high - low), high[2]])
-
-
-def add_length(plotter: Plotter, start: Array, size: float) -> None:
-    """Add a ruler of a round length along x from `start` (3,), in five parts, beside what has this size in mm."""
+def add_length(plotter: Plotter, points: Array, size: float, axes: Array | None = None) -> None:
+    """Add a ruler of a round length, in five parts, along the first of the `axes` (3, 3), by default x, and a little
+    below `points` (n, 3), which it does not hide, beside what has this size in mm."""
     import pyvista
 
+    axes = np.eye(3) if axes is None else axes
+    local = points @ axes.T
+    low, high = local.min(axis=0), local.max(axis=0)
+    start = np.array([low[0], low[1] - 0.06 * np.linalg.norm(high - low), high[2]])
     unit = 10.0 ** np.floor(np.log10(0.3 * size))
     length = max(part * unit for part in (1.0, 2.0, 5.0) if part * unit <= 0.3 * size)
     ends = start + np.linspace(0.0, length, 6)[:, None] * [1.0, 0.0, 0.0]
-    pieces = np.stack([ends[:-1], ends[1:]], axis=1)
+    pieces = np.stack([ends[:-1], ends[1:]], axis=1) @ axes
     add(plotter, f"ruler, {length:g} mm in parts of {length / 5:g} mm", lines(pieces[::2]), INK, line_width=9)
     add(plotter, "_ruler", lines(pieces[1::2]), MEASURE, line_width=9)
     text = pyvista.Text3D(f"{length:g} mm", depth=1e-3 * size, height=0.025 * size, center=(0.0, 0.0, 0.0))
-    text = text.translate(start + np.array([0.5 * length, 0.025 * size, 0.0]))
+    text.points = (text.points + start + [0.5 * length, 0.025 * size, 0.0]) @ axes
     add(plotter, "_length", text, INK, in_front=True, **FLAT)
 
 
