@@ -263,7 +263,6 @@ def compare_designs(
     Pictures(picture, stem="designs").check()
     items = _runs(arguments, laws, out)
     items = [replace(one, arguments=(*one.arguments, *["--no-picture"] * (not picture))) for one in items]
-    inputs = {one.name: one.arguments[1] for one in items}
 
     def save(rows: list[dict[str, Any]]) -> None:
         say(
@@ -271,9 +270,9 @@ def compare_designs(
             *[] if find_spec("openpyxl") else [designs.NO_SHEET],
         )
         if best := designs.lightest(rows):
-            own = [word for law in laws if law.stem == best["law"] for word in ("--law", law)]
-            words = (inputs[best["name"]], *own, "--out", out / best["name"], "--report", out / f"{best['name']}.pdf")
-            say_next("macro_fem", "run", *words, why="a report of the lightest that holds")
+            words = next(one.arguments for one in items if one.name == best["name"])
+            report = out / f"{best['name']}.pdf"
+            say_next("macro_fem", *words, "--report", report, why="a report of the lightest that holds")
         designs.save_designs(out, rows, [one.record.parent for one in items], picture=picture)
 
     run_sweep(items, out, designs.design_columns, **workers, table="designs.csv", then=save)

@@ -34,23 +34,31 @@ Row = dict[str, Any]
 
 
 def design_columns(record: dict[str, Any]) -> Row:
-    """The numbers of a design, from its summary.json."""
-    return {name: ({**record, **record.get("order", {})}).get(name, "") for name in COLUMNS}
+    """The numbers of a design, from its summary.json, of one in motion too."""
+    moving = {"governing_factor": record.get("smallest_factor", ""), "governing_link": record.get("weakest", "")}
+    return {name: (moving | record | record.get("order", {})).get(name, "") for name in COLUMNS}
 
 
 def design_line(row: Row) -> str:
     """A design that has an answer in a line, as far as it is known."""
-    known = {name: digits(row[name], 4) for name in SHOWN if isinstance(row[name], int | float)}
+    known = {name: _number(row[name], 4) for name in SHOWN if isinstance(row[name], int | float)}
     words = {"mass_kg": "{} kg", "rings": "{} rings", "mean_height_mm": "mean height {} mm",
              "governing_force_N": "largest force {} N", "wall_s": "{} s"}  # fmt: skip
     numbers = [text.format(known[name]) for name, text in words.items() if name in known]
     return f"{row['name']}: {_held(row)}; {', '.join(numbers)}"
 
 
+def _number(value: float, count: int) -> str:
+    """A count as it is, other numbers with so many digits."""
+    return str(value) if isinstance(value, int) else digits(value, count)
+
+
 def _held(row: Row) -> str:
     """Whether a design holds, and under which combination it does least."""
     if row["holds"] in (None, ""):
         return "strength not known" if row["status"] == "converged" else str(row["status"])
+    if row["governing_factor"] in (None, ""):
+        return "holds" if row["holds"] else "does not hold"
     under = f" under {row['governing_combination']}" if row["governing_combination"] else ""
     return f"{'holds' if row['holds'] else 'does not hold'}, factor {digits(row['governing_factor'])}{under}"
 
@@ -97,7 +105,7 @@ def chart(rows: Sequence[Row]) -> Figure:
     for ax, (name, label) in zip(figure.subplots(2, 3, sharey=True).flat, SHOWN.items(), strict=True):
         values = np.array([row[name] if isinstance(row[name], int | float) else np.nan for row in rows], float)
         bars = ax.barh([row["name"] for row in rows], np.nan_to_num(values), color=colours, height=0.7)
-        texts = ["" if np.isnan(value) else digits(value) for value in values]
+        texts = [_number(row[name], 3) if isinstance(row[name], int | float) else "" for row in rows]
         if name == "governing_factor":
             ax.axvline(1.0, color="black", lw=0.8, ls="--", zorder=0)
             under = [f" {row['governing_combination']}" if row["governing_combination"] else "" for row in rows]
@@ -107,9 +115,11 @@ def chart(rows: Sequence[Row]) -> Figure:
         ax.set_xlim(0.0, (1.15 + 0.045 * max(map(len, texts))) * most or 1.0)
         ax.set_xlabel(label, fontsize=9)
         ax.tick_params(labelsize=8)
+        ax.locator_params(axis="x", nbins=4)
         ax.spines[["top", "right"]].set_visible(False)
         if not ax.yaxis_inverted():
             ax.invert_yaxis()
+    figure.suptitle("green: holds, red: does not hold, grey: not known", fontsize=9)
     return figure
 
 

@@ -215,10 +215,10 @@ class RingField:
         rings.draw(plotter)
         window = replace(rings, centre=centre[at][None], normal=sheet_normal[None], r1=half)
         size = float(np.linalg.norm(np.ptp(centre, axis=0)))
-        if 2.0 * half < size:
+        if 3.0 * half < size:
             add(plotter, "close-up at the largest line load", lines(window.closed_circles(96)), BLACK, line_width=6)
         axes = self._axes
-        add_length(plotter, centre, size, axes)
+        add_length(plotter, np.vstack([centre, centre - [0.0, 2.0 * rings.r1, 0.0]]), size, axes)
         is_plane = np.abs(centre[:, 2]).max() <= 1e-9 * np.abs(centre).max()
         tilt = [0.0, 0.0, -1.0] if is_plane else [0.3, -0.25, -1.0]
         look(plotter, THREE_QUARTERS if axes is None else np.array(tilt) @ axes)

@@ -147,7 +147,8 @@ class DrawnRings:
             space.surface(points, quads.reshape(-1, 4)), color=METAL, pbr=True, metallic=1.0, roughness=0.28,
             smooth_shading=True, reset_camera=False,
         )  # fmt: skip
-        plotter.set_environment_texture(pyvista.Texture(_studio()), is_srgb=True)
+        textured: Any = pyvista.Texture  # which has no types
+        plotter.set_environment_texture(textured(_studio()), is_srgb=True)
         local = points @ turn.T
         low, high = local.min(axis=0), local.max(axis=0)
         back, room = low[2] - 0.1 * self.r1, 6.0 * self.r1
@@ -162,8 +163,9 @@ class DrawnRings:
         middle = np.array([*(0.5 * (low + high))[:2], back]) @ turn
         floor = pyvista.Plane(center=(0, 0, 0), direction=(0, 0, 1), i_size=size[0], j_size=size[1])
         floor.points = floor.points @ turn + middle
-        texture = pyvista.Texture(np.repeat(image[..., None], 3, axis=2))
-        plotter.add_mesh(floor, texture=texture, reset_camera=False, **space.FLAT)
+        plotter.add_mesh(
+            floor, texture=textured(np.repeat(image[..., None], 3, axis=2)), reset_camera=False, **space.FLAT
+        )
         box = np.stack([points.min(axis=0), points.max(axis=0)])
         space.look(plotter, 0.2 * right + 0.6 * up - front, up, box)
         return plotter
