@@ -48,7 +48,7 @@ def _measured(work: str, done: float = 0.0, total: float = 0.0, since: float = 0
     return Progress(work, done, total, time.monotonic() - since if total else 0.0)
 
 
-Listener = Callable[[Progress], None]
+Listener = Callable[[Progress], object]
 
 _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
