@@ -17,5 +17,6 @@ from .table import FitOptions as FitOptions
 from .table import FitResult as FitResult
 from .table import cell_of as cell_of
 from .table import fit as fit
+from .table import fit_rows as fit_rows
 from .table import fit_table as fit_table
 from .table import stiffness_of as stiffness_of
