@@ -35,7 +35,7 @@ class WovenLaw(homogenize.Law, kind="woven"):
         return np.eye(3) / self.stiffness
 
     def support(self, S: Array) -> Array:
-        """max S:E, where the fabric is folded to a line along one diagonal. The default is the same to 2e-5."""
+        """max S:E, where the fabric is folded to a line along one diagonal. The default is the same to 1e-4."""
         drawn = S[:, 0] * self.warp**2 + 2.0 * np.abs(S[:, 1]) * self.warp * self.weft + S[:, 2] * self.weft**2
         return np.asarray(0.5 * (drawn - S[:, 0] - S[:, 2]))
 

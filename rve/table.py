@@ -136,7 +136,7 @@ class StrainTable(ByValue):
     @property
     def converged(self) -> NDArray[np.bool_]:
         """Rows to rely on, (n,)."""
-        return self.status == "converged"
+        return np.asarray(self.status == "converged")
 
     @property
     def is_mirrored(self) -> bool:
@@ -172,7 +172,7 @@ class StrainTable(ByValue):
         InputError for what is no data frame, and for columns that are missing or no numbers, with their row.
         """
         require("pandas", "notebook", "a data frame", "give the path of a CSV file")
-        from pandas import DataFrame
+        from pandas import DataFrame, isna
 
         if not isinstance(frame, DataFrame):
             got = NAMES.get(type(frame).__name__, type(frame).__name__)
@@ -180,7 +180,8 @@ class StrainTable(ByValue):
             raise InputError(f"{what}; read_table reads a file")
         header = [" ".join(str(name).split()) for name in frame.columns]
         check_header("the data frame", header, _PARTS["E"], _KNOWN)
-        texts = (frame.iloc[:, number].astype(str).tolist() for number in range(len(header)))
+        cells = (frame.iloc[:, number].tolist() for number in range(len(header)))
+        texts = (["" if isna(value) else str(value) for value in column] for column in cells)
         places = [f"row {index}" for index in frame.index]
         table = _table_of(Columns("the data frame", dict(zip(header, texts, strict=True)), places))
         told: dict[str, Any] = {str(key): value for key, value in frame.attrs.items()}

@@ -11,6 +11,7 @@ from .refine import refined_half_spaces as refined_half_spaces
 from .report import error_report as error_report
 from .report import random_loads as random_loads
 from .rows import Normality as Normality
+from .rows import mended as mended
 from .rows import normality as normality
 from .rows import rows_from_table as rows_from_table
 from .table import FitOptions as FitOptions

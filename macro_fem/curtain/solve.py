@@ -178,7 +178,7 @@ def _tension_allowance(problem: CurtainProblem, tension: float) -> float:
     """
     half = np.array([[0.5, 0.0, 0.5]])
     largest = np.sqrt(2.0 * (2.0 + 4.0 * float(problem.law.support(half)[0])))
-    return tension * largest * float(problem.disc.weight.sum())
+    return float(tension * largest * float(problem.disc.weight.sum()))
 
 
 def self_balanced(problem: CurtainProblem, x: Array) -> int:
