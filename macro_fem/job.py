@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, overload
 
-from homogenize import LawInterval, MembraneLaw, default_law, read_law_interval, with_material
+from homogenize import LawInterval, MembraneLaw, default_law, read_law_interval
 from homogenize.fitting import interval_or_law
 from macro_fem.answer import RECORD, Solution, read_job
 from macro_fem.bounds.interval import admissible_problem, levels
@@ -18,12 +18,13 @@ from macro_fem.output.pictures import Pictures, draw_all
 from macro_fem.ring_summary import EveryRingSummary
 from macro_fem.rings import Comparison, EveryRing, EveryRingSolution, in_material, ring_scene
 from macro_fem.scene.checks import check_bounds, check_scene, check_sizes
+from macro_fem.scene.loads import meet
 from macro_fem.scene.meshing.mesh import build_mesh, columns
 from macro_fem.scene.moving import scaled
 from macro_fem.scene.reading import load_scene
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile
-from macro_fem.scene.tables import Combination, LiveLoad
+from macro_fem.scene.tables import FACTORED, Combination, Load
 from macro_fem.summary import CurtainSummary
 from rve import Cell
 from rve.common import InputError, Progress, check_out_job, checked, heard_by, noted_if_stopped, part_of
@@ -114,9 +115,8 @@ def _coarser(answer: MembraneSolution, who: Who) -> CurtainSolution | None:
 
 def combined(scene: Scene, combination: Combination) -> Scene:
     """The scene with each load times its factor."""
-    keys = ("force", "pressure", "mass")
     items = tuple(
-        scaled(item, getattr(combination, item.kind), keys) if isinstance(item, LiveLoad) else item
+        scaled(item, combination.factor(item.kind), FACTORED) if isinstance(item, Load) else item
         for item in scene.items
     )
     return replace(scene, items=items, combination=(), weight=combination.weight)
@@ -128,7 +128,7 @@ def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -
         raise InputError(f"solve takes a law, OnDemand(cell) or EveryRing(cell), not a {type(law).__name__}")
     if law is None:
         law = read_law_interval() if scene.solver.is_bounded else default_law()
-    law = with_material(law, dict(scene.material), f"{scene.source}: [material]")
+    scene, law = meet(scene, law)
     inner, law, outer = (law.inner, law.law, law.outer) if isinstance(law, LawInterval) else (law, law, None)
     check_sizes(scene, None if law.cell is None else law.cell.r1_mm)
     if not scene.solver.is_bounded:

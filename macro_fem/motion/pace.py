@@ -15,7 +15,7 @@ from macro_fem.motion_summary import MotionNumbers, MotionSummary
 from macro_fem.output.images import Draw
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.tables import LiveLoad, Timed
+from macro_fem.scene.tables import Load, Timed
 from rve.common import Array, part_of
 
 Kept = dict[str, Any]
@@ -291,7 +291,7 @@ class Mover(ABC, Generic[F, A]):
         since, until = before.t - self.near, end.moment.t - self.near
         over = [item for item in self.scene.of(Timed) if any(since <= t < until for t, _ in item.history)]
         is_lost = locking > PACE.least_impact * most and lost > PACE.impact * locking
-        is_jump = scheme > PACE.least_impact * max(most, kinetic) and not all(isinstance(one, LiveLoad) for one in over)
+        is_jump = scheme > PACE.least_impact * max(most, kinetic) and not all(isinstance(one, Load) for one in over)
         is_thrown = end.late - lost > PACE.gain * most and bool(over)
         is_back = end.rebound > PACE.least_impact * most or min(end.gain, -lost) > PACE.gain * most
         return is_lost or is_jump or is_thrown or is_back

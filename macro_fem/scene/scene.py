@@ -14,7 +14,7 @@ from macro_fem.scene.moving import Ball, Motion
 from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.shapes import Mesh, MeshFile, Shape
 from macro_fem.scene.support_kinds import Support
-from macro_fem.scene.tables import Combination, Item, Load, Project, Solver, Vector, in_3d, leaves_plane
+from macro_fem.scene.tables import Combination, Item, Loading, Project, Solver, Vector, in_3d, leaves_plane
 from rve.common import Array, InputError, check_fields, shown
 from rve.common.materials import described
 
@@ -37,7 +37,7 @@ class Scene:
     curtain: Shape
     items: tuple[Item, ...] = ()
     mesh: Mesh = field(default_factory=Mesh)
-    load: Load = field(default_factory=Load)
+    load: Loading = field(default_factory=Loading)
     solver: Solver = field(default_factory=Solver)
     start: Start | None = None
     motion: Motion | None = None

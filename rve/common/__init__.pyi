@@ -43,7 +43,6 @@ from .tensor import trace as trace
 from .texts import csv_text as csv_text
 from .texts import digits as digits
 from .texts import filled as filled
-from .texts import number_column as number_column
 from .texts import numbers_of as numbers_of
 from .texts import read_as as read_as
 from .texts import read_columns as read_columns

@@ -24,7 +24,8 @@ import click
 
 from rve.common.commands.command_line import answer, ending, options, say
 from rve.common.errors import InputError, noted_if_stopped, require
-from rve.common.files import Cache, checksum, versions, write_text
+from rve.common.files import PLUGINS, Cache, checksum, versions, write_text
+from rve.common.plugins import load_plugin
 from rve.common.progress import tell
 from rve.common.texts import csv_text, read_json_object, recorded_reads
 
@@ -144,7 +145,9 @@ def _cluster(address: str) -> Iterator[Executor]:
 @contextmanager
 def side_by_side(jobs: int) -> Iterator[Executor]:
     """Worker processes that end with the block, at once where it is left early, and when this process ends."""
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_end_with_parent)
+    pool = ProcessPoolExecutor(
+        jobs, mp_context=get_context("spawn"), initializer=_begin_worker, initargs=(list(PLUGINS),)
+    )
     with pool, ExitStack() as early:
         early.callback(_end_children)
         yield pool
@@ -157,8 +160,10 @@ def _end_children() -> None:
         child.terminate()
 
 
-def _end_with_parent() -> None:
-    """Let this worker end at once when its parent does, which alone handles Ctrl-C."""
+def _begin_worker(plugins: Sequence[str]) -> None:
+    """Let this worker know the plugins of its parent, and end at once when that does, which alone handles Ctrl-C."""
+    for path in plugins:
+        load_plugin(path)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
 
@@ -201,6 +206,8 @@ def run_sweep(
     """
     if cluster is not None and jobs > 1:
         raise InputError("--jobs and --cluster are two ways to run a sweep: give one")
+    plugins = [f"--plugin={path}" for path in PLUGINS]
+    items = [replace(item, arguments=(*item.arguments, *plugins)) for item in items]
     for item in items:
         command = import_module(f"{item.package}.cli").main.commands[item.arguments[0]]
         command.make_context(f"{item.package} {item.arguments[0]}", list(item.arguments[1:]))
