@@ -294,7 +294,7 @@ def run_modes(
         write_shapes(folder / "modes.vtu", modes)
     drawings: Drawings = {"modes.png": lambda path: draw_shapes(path, modes)} if picture else {}
     if report is not None:
-        from macro_fem.report import write_modes_report
+        from macro_fem.motion_report import write_modes_report
 
         def draw(width: float) -> Figure:
             return plans.printed(plot_shapes(modes, REPORTED), width)

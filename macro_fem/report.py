@@ -1,30 +1,21 @@
-"""The report of a run as PDF: its words and tables are data that report.typ sets on pages (typst), its pictures SVG."""
+"""The report of a curtain at rest: what its pages say, which `macro_fem.output.pages` sets as PDF."""
 
-import datetime
 import math
-import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
-from importlib import resources
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from macro_fem.curtain import CurtainSolution
 from macro_fem.judged import asked_of_rings, first_of_largest, links
-from macro_fem.motion_summary import ModesSummary, MotionSummary
 from macro_fem.output import plans
-from macro_fem.output.images import Draw
-from macro_fem.output.told import lean_note, loads_in_words, motion_verdict
-from macro_fem.scene.scene import Scene
+from macro_fem.output.pages import GAP, HIGH, PAGE, Chapter, Headline, PageTable, Picture, write_pages
+from macro_fem.output.told import lean_note, loads_in_words
 from macro_fem.scene.support_kinds import Track
 from macro_fem.scene.tables import in_3d
-from macro_fem.summary import CombinationRow, CurtainSummary, RingSupport, SupportForce
-from rve.common import atomic_path, checksum, digits, json_text, require
-from rve.common.optional import Axes, Figure
+from macro_fem.summary import CombinationRow, CurtainSummary, SupportForce
+from rve.common import digits
 
 LIMITS = (
     "Rings are tori in contact without friction. Where the mesh is locked it gives no more, or as much as its rings "
@@ -39,134 +30,12 @@ LIMITS = (
     "the load combinations, if there are any.",
 )
 """What holds for every answer by a law."""
-PAGE, GAP, HIGH, WIDE = 174.0, 3.0, 88.0, 2.0
-"""Width of the text, between two pictures, and greatest height of one, mm; a sheet so many times wider than high is
-drawn over the whole width."""
+WIDE = 2.0
+"""A sheet so many times wider than high is drawn over the whole width."""
 NOISE = 1e-4
 """Components of forces below this part of the largest one are shown as 0."""
 AS_GIVEN, MOST_CASES = "as given", 5
 """The loads without partial factors; so many cases are in one table of design forces."""
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A picture, `width` in mm, with the words below it."""
-
-    draw: Callable[[float], Figure]
-    width: float
-    caption: str
-
-
-Rows = Sequence[Sequence[Picture]]
-"""Pictures side by side."""
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows of texts below a head; `groups`: names over so many columns each. Columns of numbers stand at the right."""
-
-    title: str
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    groups: Sequence[tuple[str, int]] = ()
-
-
-@dataclass(frozen=True)
-class Section:
-    """A title, paragraphs, rows of pictures, tables."""
-
-    title: str
-    text: Sequence[str] = ()
-    pictures: Rows = ()
-    tables: Sequence[Table] = ()
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What a reader decides by in a few lines, and whether it is good; None where that is not known."""
-
-    lines: Sequence[str]
-    holds: bool | None
-
-
-def write_pages(
-    path: str | Path, scene: Scene, verdict: Verdict, pictures: Rows, sections: Sequence[Section],
-    versions: Mapping[str, str], inputs: Iterable[Path | None] = (),
-) -> None:  # fmt: skip
-    """Write a report as PDF/UA, with a date of its project as PDF/A too, the same bytes for the same input.
-
-    `pictures` are those of the first page, below the verdict. InputError without typst, and if the file cannot be
-    written. A letter that no font here has gives a PDF without the claim of a standard.
-    """
-    require("typst", "report", "a report")
-    import matplotlib
-    import typst
-
-    project, day = scene.project, list[int]()
-    with suppress(ValueError):
-        date = datetime.date.fromisoformat(project.date)
-        day = [date.year, date.month, date.day]
-    files = [[one.name, checksum(one)] for one in inputs if one is not None]
-    sums = [Table("", ("file", "SHA-256"), files)] if files else []
-    told = ", ".join(f"{name} {number}" for name, number in versions.items())
-    every = [*sections, Section("Versions and files", [told], tables=sums)]
-    with TemporaryDirectory() as name:
-        folder, drawn = Path(name), list[Path]()
-
-        def rows(of: Rows) -> list[list[dict[str, Any]]]:
-            return [[placed(one) for one in row] for row in of]
-
-        def placed(one: Picture) -> dict[str, Any]:
-            drawn.append(folder / f"{len(drawn)}.svg")
-            plans.save_drawing(drawn[-1], one.draw(one.width))
-            return {"file": drawn[-1].name, "width": one.width, "caption": one.caption}
-
-        facts = {"client": project.client, "project": project.number, "author": project.author, "date": project.date}
-        data = {
-            "title": project.title or f"Curtain of ring mesh: {scene.source.stem}",
-            "subject": verdict.lines[0],
-            "author": [project.author] if project.author else [],
-            "number": project.number,
-            "date": day or None,
-            "made_by": f"made by ring-mesh {versions['ring-mesh']}, {scene.source.name[:60]}",
-            "project": [pair for pair in facts.items() if pair[1]],
-            "verdict": {"lines": verdict.lines, "tone": {None: "unknown", True: "good", False: "bad"}[verdict.holds]},
-            "pictures": rows(pictures),
-            "sections": [
-                {
-                    "title": one.title,
-                    "text": one.text,
-                    "pictures": rows(one.pictures),
-                    "tables": list(map(_set, one.tables)),
-                }
-                for one in every
-            ],
-        }
-        (folder / "report.json").write_text(json_text(data), encoding="utf-8")
-        shutil.copy(str(resources.files(__package__).joinpath("report.typ")), folder)
-        fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
-        made: dict[str, Any] = {"input": folder / "report.typ", "font_paths": [fonts]}
-        try:
-            content = typst.compile(**made, pdf_standards=["ua-1", "a-2a"] if day else ["ua-1"])
-        except typst.TypstError as error:
-            if "could not be displayed" not in str(error):
-                raise
-            content = typst.compile(**made)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(content or b"")
-
-
-def _set(table: Table) -> dict[str, Any]:
-    """A table as the template takes it: a column whose cells are numbers stands at the right."""
-    columns = zip(*table.rows, strict=True) if table.rows else [()] * len(table.head)
-    align = "".join("r" if all(map(_is_number, column)) else "l" for column in columns)
-    return {**vars(table), "align": list(align)}
-
-
-def _is_number(text: str) -> bool:
-    with suppress(ValueError):
-        return math.isfinite(float(text or 0.0))
-    return False
 
 
 def write_report(
@@ -176,7 +45,7 @@ def write_report(
     """Write the report of a curtain at rest: verdict, drawings with dimensions, every support force under every one of
     the named combinations, order, factors, limits, versions and checksums of `inputs`. InputError as `write_pages`."""
     cases = [(AS_GIVEN, summary), *combinations]
-    nodes = Section("Forces at the nodes of held edges", tables=_by_case(cases, is_single=False))
+    nodes = Chapter("Forces at the nodes of held edges", tables=_by_case(cases, is_single=False))
     sections = [
         _forces(cases),
         _factors(solution, cases),
@@ -186,103 +55,8 @@ def write_report(
         nodes,
     ]
     sections = [one for one in sections if one.text or one.tables]
-    verdict = Verdict(verdict_lines(summary), summary.holds if summary.status == "converged" else False)
+    verdict = Headline(verdict_lines(summary), summary.holds if summary.status == "converged" else False)
     write_pages(path, solution.problem.scene, verdict, _first_page(solution), sections, summary.versions, inputs)
-
-
-def write_motion_report(
-    path: str | Path, scene: Scene, summary: MotionSummary, plot: Callable[[Axes], Axes],
-    moments: Sequence[tuple[str, Draw]], inputs: Iterable[Path | None] = (),
-) -> None:  # fmt: skip
-    """Write the report of a scene in motion: verdict, force over time, moments, forces of supports at the weakest one,
-    peaks, energies, limits. `plot` draws the forces; `moments`: their names, and how to draw them."""
-    names, draws = zip(*moments, strict=True)
-    curve = Picture(lambda width: plans.draw_axes(width, 0.6 * HIGH, plot), PAGE, "Force of all supports over time.")
-    shown = Picture(lambda width: plans.draw_views(draws, width), PAGE, f"At {'; '.join(names)}.")
-    told = motion_verdict(summary)
-    lines = [
-        f"{told[:1].upper()}{told[1:]}",
-        f"First to give: {summary.weakest}{f', {summary.weakest_place}' if summary.weakest_place else ''}.",
-        f"Largest force of all supports together: {digits(summary.peak_support_force_N, 4)} N, "
-        f"at {digits(summary.peak_support_force_at_s, 4)} s.",
-    ]
-    lines = [line for line in lines if summary.weakest or not line.startswith("First")]
-    if summary.status != "converged":
-        lines = [f"{summary.status[:1].upper()}{summary.status[1:]}: {summary.message}", *lines]
-    rows = [[_named(name), digits(value, 4), unit] for name, value, unit in _numbers(summary)]
-    limits = [*LIMITS, f"Forces: {summary.forces}.", summary.verdict_note, *summary.notes]
-    sections = [
-        Section("Forces of supports at the weakest moment", tables=_at_moment(summary)),
-        Section("Peaks, factors and energies", tables=[Table("", ("what", "value", "unit"), rows)]),
-        Section("Loads", [loads_in_words(scene)]),
-        Section("Assumptions and limits", [f"{one[:1].upper()}{one[1:]}" for one in limits if one]),
-    ]
-    holds = summary.holds if summary.status == "converged" else False
-    write_pages(path, scene, Verdict(lines, holds), [[curve], [shown]], sections, summary.versions, inputs)
-
-
-def _numbers(summary: MotionSummary) -> Iterator[tuple[str, float, str]]:
-    """Names, values and units of the plain numbers of a summary."""
-    for key, value in summary.items():
-        if isinstance(value, int | float) and not isinstance(value, bool) and key != "wall_s":
-            unit = next((one for one in UNITS if key.endswith(f"_{one}")), "")
-            yield key.removesuffix(f"_{unit}"), float(value), UNITS.get(unit, "")
-
-
-UNITS = {
-    "N_per_mm": "N/mm",
-    "N_mm": "N mm",
-    "N_s": "N s",
-    "N_per_mm2": "N/mm2",
-    "N": "N",
-    "mm": "mm",
-    "s": "s",
-    "Hz": "Hz",
-}
-"""Units by the ends of keys, longer ones first."""
-
-
-def _named(key: str) -> str:
-    return key.removesuffix("_at").replace("_", " ") + (" at" if key.endswith("_at") else "")
-
-
-def _at_moment(summary: MotionSummary) -> list[Table]:
-    """Forces of supports at the weakest moment, as far as they are known."""
-    rows, sums = [], []
-    supports: tuple[SupportForce | RingSupport, ...] = summary.support_forces
-    least = NOISE * max((abs(part) for one in supports for part in one.force_N or ()), default=0.0)
-    for number, one in enumerate(supports, 1):
-        of = f" of support {number}" if len(supports) > 1 else ""
-        for k, point in enumerate(one.points, 1):
-            force = in_3d(tuple(point.force_N)) if point.force_N else ()
-            rows.append([f"{point.point or f'point {k}'}{of}", *_place(point), *_parts(force, least, 3)])
-        sums.append(
-            [
-                f"sum of {one.support}{of}",
-                *5 * [""],
-                *_parts(in_3d(tuple(one.force_N)) if one.force_N else (), least, 3),
-            ]
-        )
-    groups = [("", 1), ("in sheet, mm", 2), ("at that moment, mm", 3), ("force, N", 4)]
-    return [Table("", ("point", "x", "y", "x", "y", "z", "size", "x", "y", "z"), [*rows, *sums], groups)]
-
-
-def write_modes_report(
-    path: str | Path, scene: Scene, summary: ModesSummary, draw: Callable[[float], Figure],
-    inputs: Iterable[Path | None] = (),
-) -> None:  # fmt: skip
-    """Write the report of natural frequencies: the lowest one, shapes, all of them, what is left out, limits."""
-    hertz = [digits(one, 4) for one in summary.frequencies_Hz]
-    lines = [f"Lowest natural frequency: {hertz[0]} Hz", f"Under {summary.loads}."]
-    rows = [
-        [f"{k}", one, f"{count}"] for k, (one, count) in enumerate(zip(hertz, summary.multiplicity, strict=True), 1)
-    ]
-    shapes = Picture(draw, PAGE, "Shapes of the lowest modes, each at a size that can be seen.")
-    table = Table("", ("no.", "frequency, Hz", "modes of this frequency"), rows)
-    limits = [*LIMITS[:2], f"Left out: {summary.left_out}", f"Line loads: {summary.forces_by}", *summary.notes]
-    words = Section("Assumptions and limits", [one for one in limits if one])
-    every = [Section("Natural frequencies", tables=[table]), words]
-    write_pages(path, scene, Verdict(lines, None), [[shapes]], every, summary.versions, inputs)
 
 
 def verdict_lines(summary: CurtainSummary) -> list[str]:
@@ -305,16 +79,12 @@ def verdict_lines(summary: CurtainSummary) -> list[str]:
 
 
 def _whose(summary: CurtainSummary) -> str:
-    """Which point has the largest force, and under which combination."""
+    """Which point has the largest force, and under which combination; the first of mirrored ones."""
     if (most := summary.envelope) is not None and most.support_forces:
         top = most.support_forces[first_of_largest([one.force_N for one in most.support_forces])]
         return f" at {top.point}{_of(summary, top.support_number)}, under {top.combination}"
-    each = [
-        (point.size_N, point.point, number)
-        for number, one in enumerate(summary.support_forces, 1)
-        for point in one.points
-    ]
-    return f" at {max(each)[1]}{_of(summary, max(each)[2])}" if each else ""
+    each = [(one.size_N, f"{one.point}{_of(summary, k)}") for k, held in _supports(summary) for one in held.points]
+    return f" at {each[first_of_largest([size for size, _ in each])][1]}" if each else ""
 
 
 def _of(summary: CurtainSummary, number: int) -> str:
@@ -353,7 +123,7 @@ def _plan_words(solution: CurtainSolution) -> str:
     return f"{'; '.join(words)}."
 
 
-def _forces(cases: Sequence[tuple[str, CurtainSummary]]) -> Section:
+def _forces(cases: Sequence[tuple[str, CurtainSummary]]) -> Chapter:
     """The design force of each support and point, the supports in a line each, and all forces under every case."""
     summary = cases[0][1]
     most, each = summary.envelope, _all_forces(cases, is_single=True)
@@ -373,16 +143,16 @@ def _forces(cases: Sequence[tuple[str, CurtainSummary]]) -> Section:
     )
     rows = []
     for key, (name, *forces) in each.items():
-        place = _place(hung[key]) if key in hung else 5 * [""]
+        place = places_of(hung[key]) if key in hung else 5 * [""]
         top = [_size(forces[0])] if most is None else [digits(largest[key].force_N, 4), largest[key].combination]
         rows.append([name, *place, *(_size(force) for force in forces[: len(shown)]), *top])
     end = ["force, N"] if most is None else ["largest, N", "under"]
     head = ["point", "x", "y", "x", "y", "z", *(name for name, _ in shown), *end]
     groups = [("", 1), ("in sheet, mm", 2), ("hung, mm", 3), ("force, N", len(shown)), ("", len(end))]
     text = "" if most is None else f", the largest under any of {len(cases) - 1} load combinations"
-    design = Table(f"Design forces{text}", head, rows, [one for one in groups if one[1]])
+    design = PageTable(f"Design forces{text}", head, rows, [one for one in groups if one[1]])
     tables = [one for one in (design, _supports_table(summary)) if one.rows]
-    return Section("Forces of supports", tables=[*tables, *_by_case(cases, is_single=True)])
+    return Chapter("Forces of supports", tables=[*tables, *_by_case(cases, is_single=True)])
 
 
 def _supports(summary: CurtainSummary) -> list[tuple[int, SupportForce]]:
@@ -393,7 +163,7 @@ def _at(point: Any) -> tuple[float, float]:
     return round(point.at_mm[0], 6), round(point.at_mm[1], 6)
 
 
-def _place(point: Any) -> list[str]:
+def places_of(point: Any) -> list[str]:
     return [f"{round(one)}" for one in (*point.at_mm[:2], *in_3d(tuple(point.place_mm)))]
 
 
@@ -401,7 +171,7 @@ def _size(force: Sequence[float]) -> str:
     return digits(math.hypot(*force), 4)
 
 
-def _supports_table(summary: CurtainSummary) -> Table:
+def _supports_table(summary: CurtainSummary) -> PageTable:
     """Each support in a row: what it holds, its largest force at a point and per ring, and what a point bears."""
     head = [
         "no.",
@@ -420,7 +190,7 @@ def _supports_table(summary: CurtainSummary) -> Table:
             f"{number}", one.support, f"{one.nodes_held}", _or_none(one.pitch_mm), _or_none(one.length_held_mm or None),
             digits(one.largest_nodal_force_N, 4), *map(_or_none, optional),
         ])  # fmt: skip
-    return Table("Supports, loads as given", head, rows)
+    return PageTable("Supports, loads as given", head, rows)
 
 
 def _or_none(value: float | None, count: int = 4) -> str:
@@ -442,40 +212,40 @@ def _all_forces(cases: Sequence[tuple[str, CurtainSummary]], *, is_single: bool)
     return rows
 
 
-def _by_case(cases: Sequence[tuple[str, CurtainSummary]], *, is_single: bool) -> list[Table]:
+def _by_case(cases: Sequence[tuple[str, CurtainSummary]], *, is_single: bool) -> list[PageTable]:
     """Forces and their components at all points of supports with single points, or of held edges, and their sums."""
     ordered = list(_all_forces(cases, is_single=is_single).values())
     if not ordered:
         return []
     d = max(len(force) for row in ordered for force in row[1:])
-    axes, tables, step = ("x", "y", "z")[:d], list[Table](), 3 if d == 3 else 4
+    axes, tables, step = ("x", "y", "z")[:d], list[PageTable](), 3 if d == 3 else 4
     for begin in range(0, len(cases), step):
         some = range(begin, min(begin + step, len(cases)))
         least = [NOISE * max((abs(part) for row in ordered for part in row[k + 1]), default=0.0) for k in some]
+        each = list(zip(some, least, strict=True))
         body = [
-            [row[0], *(text for k, small in zip(some, least, strict=True) for text in _parts(row[k + 1], small, d))]
-            for row in ordered
+            [row[0], *(text for k, small in each for text in components_of(row[k + 1], small, d))] for row in ordered
         ]
         groups = [("force on the curtain, N", 1), *((cases[k][0], d + 1) for k in some)]
-        title = "All forces and their components" if is_single else "Nodes of held edges"
-        tables.append(
-            Table(title if not begin else f"{title}, continued", ["point", *len(some) * ("size", *axes)], body, groups)
+        title = ("All forces and their components" if is_single else "Nodes of held edges") + ", continued" * bool(
+            begin
         )
+        tables.append(PageTable(title, ["point", *len(some) * ("size", *axes)], body, groups))
     return tables
 
 
-def _parts(force: Sequence[float], least: float, d: int) -> list[str]:
+def components_of(force: Sequence[float], least: float, d: int) -> list[str]:
     """Size and components of a force, with rounding beside the largest as 0; nothing where there is none."""
     return (
         [_size(force), *(digits(one) if abs(one) > least else "0" for one in force)] if len(force) else (d + 1) * [""]
     )
 
 
-def _factors(solution: CurtainSolution, cases: Sequence[tuple[str, CurtainSummary]]) -> Section:
+def _factors(solution: CurtainSolution, cases: Sequence[tuple[str, CurtainSummary]]) -> Chapter:
     """What gives first at how many times the loads, as given and under each combination."""
     summary = cases[0][1]
     given = [[one.name, digits(one.factor, 4), one.text] for one in links(summary, summary.support_forces)]
-    tables = [Table("Links, loads as given without partial factors", ("link", "factor", "what gives"), given)]
+    tables = [PageTable("Links, loads as given without partial factors", ("link", "factor", "what gives"), given)]
     axes = ("x", "y", "z")[: len(summary.total_load_N)]
     head = ("loads", "yields", "collapses", "largest", "mesh", "at points", "rings at hooks", *axes)
     rows = []
@@ -483,19 +253,19 @@ def _factors(solution: CurtainSolution, cases: Sequence[tuple[str, CurtainSummar
         used = (one.utilisation_max, *(asked_of_rings(one) if one.utilisation_max is not None else (None, None, None)))
         factors = (_or_none(value) for value in (one.safety_factor, one.collapse_factor, *used))
         least = NOISE * max(map(abs, one.total_load_N), default=0.0)
-        rows.append([name, *factors, *_parts(one.total_load_N, least, len(axes))[1:]])
+        rows.append([name, *factors, *components_of(one.total_load_N, least, len(axes))[1:]])
     groups = [("", 1), ("a ring, at times the loads", 2), ("utilisation, 1: yields", 4), ("sum of loads, N", len(axes))]
-    tables.append(Table("Rings", head, rows, groups))
+    tables.append(PageTable("Rings", head, rows, groups))
     if summary.combinations is not None:
         tables.append(_combinations(summary.combinations))
     words = "Where the rings are used, 1 is first yield; circles: rings at hooks and other held and loaded points."
     shown = Picture(lambda width: plans.draw_hung(solution, width, HIGH, used=True), 0.5 * PAGE, words)
     is_drawn = summary.utilisation_max is not None and not solution.problem.scene.in_space
     filled = [one for one in tables if one.rows]
-    return Section("Factors and the weakest link", (), [[shown]] if is_drawn else [], filled)
+    return Chapter("Factors and the weakest link", (), [[shown]] if is_drawn else [], filled)
 
 
-def _combinations(each: Sequence[CombinationRow]) -> Table:
+def _combinations(each: Sequence[CombinationRow]) -> PageTable:
     """Load combinations with their partial factors, and what gives first under them."""
     head = ("combination", "partial factors", "answer", "largest force, N", "first yield", "factor", "first to give")
     rows = []
@@ -504,10 +274,10 @@ def _combinations(each: Sequence[CombinationRow]) -> Table:
         factors = (_or_none(one.safety_factor), _or_none(one.weakest_factor))
         first = ", ".join(filter(None, [one.weakest, one.weakest_place]))
         rows.append([one.name, parts, one.status, digits(one.largest_force_N, 4), *factors, first])
-    return Table("Load combinations", head, rows)
+    return PageTable("Load combinations", head, rows)
 
 
-def _order(solution: CurtainSolution, summary: CurtainSummary) -> Section:
+def _order(solution: CurtainSolution, summary: CurtainSummary) -> Chapter:
     """What to order: mesh, rings, hooks or runners, tracks and bars."""
     order = summary.order
     material = [] if order.material is None else [["metal of the rings", order.material]]
@@ -540,7 +310,7 @@ def _order(solution: CurtainSolution, summary: CurtainSummary) -> Section:
         ["mean height", f"y = {digits(summary.mean_height_mm, 5)} mm"],
     ]
     shown = [row for row in rows if row[1] != NOT_GIVEN]
-    tables = [Table("", ("what", "how much"), shown)]
+    tables = [PageTable("", ("what", "how much"), shown)]
     for number, item in enumerate(solution.problem.scene.support, 1):
         if isinstance(item, Track):
             parts = plans.track_parts(plans.track_of(solution, item))
@@ -555,9 +325,9 @@ def _order(solution: CurtainSolution, summary: CurtainSummary) -> Section:
                 for k, one in enumerate(parts, 1)
             ]
             tables.append(
-                Table(f"Track of support {number}, from its start; turns to the left are positive", head, body)
+                PageTable(f"Track of support {number}, from its start; turns to the left are positive", head, body)
             )
-    return Section("What to order", tables=tables)
+    return Chapter("What to order", tables=tables)
 
 
 NOT_GIVEN = "none"
@@ -567,7 +337,7 @@ def _with(value: float | None, unit: str) -> str:
     return NOT_GIVEN if value is None else f"{digits(value, 6)} {unit}"
 
 
-def _further(summary: CurtainSummary) -> list[Section]:
+def _further(summary: CurtainSummary) -> list[Chapter]:
     """Obstacles, wind, bounds, and nodes of held edges, of a curtain that has them."""
     sections = []
     if summary.obstacles:
@@ -579,15 +349,17 @@ def _further(summary: CurtainSummary) -> list[Section]:
                 push = (digits(part, 4) for part in in_3d(tuple(step.reaction_N)))
                 touched = f"{one.nodes_touched}" if k == len(one.steps) else ""
                 rows.append([f"{one.obstacle}{of}", one.kind, touched, digits(step.displacement_mm, 4), *push])
-        sections.append(Section("Obstacles", tables=[Table("", head, rows, [("", 4), ("force on the curtain, N", 3)])]))
+        sections.append(
+            Chapter("Obstacles", tables=[PageTable("", head, rows, [("", 4), ("force on the curtain, N", 3)])])
+        )
     if summary.wind:
         head = ("speed, m/s", "solidity", "drag coefficient", "pressure, N/m2", "front, m2", "layers", "drag, N")
         rows = [[digits(value, 4) for value in vars(one).values()] for one in summary.wind]
-        sections.append(Section("Wind", tables=[Table("", head, rows)]))
+        sections.append(Chapter("Wind", tables=[PageTable("", head, rows)]))
     return sections
 
 
-def _limits(summary: CurtainSummary) -> Section:
+def _limits(summary: CurtainSummary) -> Chapter:
     """Assumptions and limits in words: those of every answer, and those of this one."""
     own = [
         summary.governing_note,
@@ -597,4 +369,4 @@ def _limits(summary: CurtainSummary) -> Section:
         *summary.notes,
     ]
     own += [summary.strength_note] if summary.utilisation_of_averages_max is None else []
-    return Section("Assumptions and limits", [*LIMITS, *(f"{one[:1].upper()}{one[1:]}." for one in own if one)])
+    return Chapter("Assumptions and limits", [*LIMITS, *(f"{one[:1].upper()}{one[1:]}." for one in own if one)])

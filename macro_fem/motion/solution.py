@@ -119,7 +119,7 @@ class MotionSolution(Solution):
         """Write a report as PDF: verdict, force over time, moments, forces at the weakest one, limits, checksums of
         `inputs`; InputError without typst (extra `report`) or pyvista."""
         Pictures(picture=False, report=Path(path)).check(inputs=inputs, in_space=True)
-        from macro_fem.report import write_motion_report
+        from macro_fem.motion_report import write_motion_report
 
         write_motion_report(path, self.mover.scene, self.summary, self.plot, self.moments(REPORTED), inputs)
 

@@ -14,8 +14,9 @@ import pytest
 
 import macro_fem
 from macro_fem import Bar, Combination, Hooks, Mesh, PointLoad, Project, Rectangle, Scene, Track, solve
+from macro_fem.output.pages import Chapter, Headline, PageTable, write_pages
 from macro_fem.output.plans import track_parts
-from macro_fem.report import Section, Table, Verdict, verdict_lines, write_pages
+from macro_fem.report import verdict_lines
 from macro_fem.scene.meshing.edges import Line
 from macro_fem.scene.support_kinds import Curve
 from rve import InputError
@@ -135,15 +136,15 @@ def test_pages_claim_their_standards_and_show_words_as_they_are_typed(tmp_path, 
     With a date it is PDF/A too, and a letter that no font has costs the claim, not the report."""
     typed = '#let x = 1 $a_b$ *bold* @ref <label> \\ "quoted" `raw` // no comment /* = - + ~ [x]'
     scene, made = Scene(Rectangle(1.0, 1.0), project=Project(title=typed, date="2026-11-28")), tmp_path / "r.pdf"
-    table = Table("T", ("name", "N"), [[f"row {k} of #{typed[:9]}", f"{k}"] for k in range(150)])
-    sections = [Section(typed, [typed], tables=[table])]
+    table = PageTable("T", ("name", "N"), [[f"row {k} of #{typed[:9]}", f"{k}"] for k in range(150)])
+    sections = [Chapter(typed, [typed], tables=[table])]
     private, contents = "\U0010fffd", []
     projects = (scene.project, scene.project, Project(title=typed), Project(title=typed, client=private))
     for project in projects:
         of = replace(scene, project=project)
         if project.client:  # without the font of last resort that matplotlib has
             monkeypatch.setattr("matplotlib.get_data_path", lambda: str(tmp_path))
-        write_pages(made, of, Verdict([typed], None), [], sections, {"ring-mesh": "0"}, [])
+        write_pages(made, of, Headline([typed], None), [], sections, {"ring-mesh": "0"}, [])
         contents.append(made.read_bytes())
         text = re.sub(r"\s", "", words_of(made))
         assert text.count(re.sub(r"\s", "", typed)) >= 3
