@@ -206,7 +206,7 @@ class Log:
             raise InputError(f"--continue: {path} is missing or damaged: run again without --continue") from error
         if kept.pop("of", None) != self.of:
             raise InputError(
-                f"--continue: {path} is of another scene, law or version: only [motion] duration may differ"
+                f"--continue: {path} is of another scene or law, or version: only [motion] duration may differ"
             )
         return kept
 

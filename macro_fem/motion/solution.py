@@ -2,7 +2,7 @@
 
 import shutil
 import subprocess
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from homogenize import MembraneLaw
 from macro_fem.answer import Solution
 from macro_fem.motion.curtain import MovingCurtain
 from macro_fem.motion.pace import COLUMNS, Run
-from macro_fem.motion.rings import MovingRings
+from macro_fem.motion.rings import MovingRings, RingFrame
 from macro_fem.motion.series import AnyMover, Series, chosen
 from macro_fem.motion_summary import MotionSummary
 from macro_fem.output.images import Draw, in_turn, save_animation, save_panels
@@ -47,8 +47,9 @@ class MotionSolution(Solution):
         """At most so many moments with their times, and how to draw them."""
         series = self.series
         some = chosen(list(series.shown.values()), most, series.weakest)
-        weak = {True: ", the weakest moment", False: ""}
-        titles = (f"{one.moment.t:.3f} s{weak[one.moment.t == series.weakest.moment.t]}" for one in some)
+        why = "the largest force of a point" if self.summary.smallest_factor is None else "the weakest moment"
+        weakest = {series.weakest.moment.t: f", {why}"}
+        titles = (f"{one.moment.t:.3f} s{weakest.get(one.moment.t, '')}" for one in some)
         return list(zip(titles, self.mover.views(some), strict=True))
 
     @property
@@ -58,16 +59,22 @@ class MotionSolution(Solution):
 
     def drawings(self, wanted: Pictures) -> Drawings:
         """Of motion.png, motion.html and motion.gif, and of motion.mp4 beside the GIF where ffmpeg is installed."""
-        wanted.check(self.mover.scene, in_space=True)
+        replace(wanted, stem="motion").check(self.mover.scene, in_space=True)
+        film = b""
 
         def draw_panels(path: Path) -> None:
             at, draws = zip(*self.moments(PANELS), strict=True)
             save_panels(path, draws, motion_verdict(self.summary), at)
 
+        def animate(path: Path) -> None:
+            nonlocal film
+            save_animation(path, in_turn(self.moments(IMAGES)))
+            film = path.read_bytes()
+
         def encode(path: Path) -> None:
             even = "scale=trunc(iw/2)*2:trunc(ih/2)*2,format=yuv420p"  # what every player shows
-            words = (str(ffmpeg), "-v", "quiet", "-i", path.with_suffix(".gif"), "-vf", even, path)
-            if subprocess.run(words, check=False).returncode:
+            words = (str(ffmpeg), "-v", "quiet", "-f", "gif", "-i", "-", "-vf", even, path)
+            if subprocess.run(words, check=False, input=film).returncode:
                 raise RuntimeError("ffmpeg failed")
 
         drawings: Drawings = {}
@@ -76,7 +83,7 @@ class MotionSolution(Solution):
         if wanted.html:
             drawings["motion.html"] = self.write_html
         if wanted.animation:
-            drawings["motion.gif"] = lambda path: save_animation(path, in_turn(self.moments(IMAGES)))
+            drawings["motion.gif"] = animate
             if ffmpeg := shutil.which("ffmpeg"):
                 drawings["motion.mp4"] = encode
         return drawings
@@ -108,12 +115,9 @@ class MotionSolution(Solution):
 
     def rings(self) -> FiniteSolution:
         """Every ring at the end, of a scene solved ring by ring; InputError of one by a law."""
-        rings = getattr(self.series.last, "rings", None)
-        if not isinstance(rings, FiniteSolution):
-            raise InputError(
-                "rings: of a curtain in motion by a law are not placed; solve(scene, EveryRing()) moves them"
-            )
-        return rings
+        if isinstance(last := self.series.last, RingFrame):
+            return last.rings
+        raise InputError("rings: of a curtain in motion by a law are not placed; solve(scene, EveryRing()) moves them")
 
 
 def mover_of(scene: Scene, who: MembraneLaw | EveryRing) -> AnyMover:

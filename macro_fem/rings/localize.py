@@ -89,7 +89,7 @@ def localize(
 
 
 def run_localize(
-    path: Path, out: Path, window: tuple[float, ...] | None, max_rings: int, **files: bool
+    path: Path, out: Path, window: tuple[float, ...] | None, max_rings: int, **files: Any
 ) -> dict[str, Any]:
     """`localize` and `RingField.save` into `out`, `files` as there; the summary. What the picture needs and what `out`
     would overwrite is checked before anything is solved."""
