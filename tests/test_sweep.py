@@ -152,8 +152,7 @@ def test_every_scene_with_every_law_is_a_design_in_one_table(tmp_path, two_laws)
 
 def test_a_listener_hears_how_many_are_done_and_what_the_rest_takes(tmp_path):
     """As measured in this run: what was finished before counts for nothing in the pace."""
-    items = table_items(tmp_path, {"r1": "5", "r2": "0.5,1,0.6"}, ["4-in-1"], "y", GRID)
-    told = list[Progress]()
+    items, told = table_items(tmp_path, {"r1": "5", "r2": "0.5,1,0.6"}, ["4-in-1"], "y", GRID), list[Progress]()
     sweep(items[:1], tmp_path)
     with heard_by(told.append):
         sweep(items, tmp_path, jobs=1)
