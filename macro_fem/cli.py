@@ -66,7 +66,7 @@ _goes_on = click.option(
 @click.option("--accuracy", type=float, help="With --cell: width of the interval over the height.  [default: 5e-3]")
 @click.option("--cache", type=PATH, help="Folder where tables of the rings are kept.")
 @click.option("--no-cache", is_flag=True, help="Keep no tables of the rings, and read none.")
-@click.option("--report", type=PATH, help="Write a report, PDF.")
+@click.option("--report", type=PATH, help="Write a report, PDF (needs typst; in space pyvista).")
 @click.option("--dxf", type=PATH, help="Write the outline of the flat sheet (needs ezdxf).")
 @click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
 @_goes_on
@@ -95,8 +95,8 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
 
         if asked is not None:
             raise InputError("--table and --cell: a curtain in motion takes a law, by --law")
-        if any([explain, files.pop("report"), files.pop("dxf")]):
-            raise InputError("--explain, --report and --dxf: are for a curtain at rest, not for a scene with [motion]")
+        if any([explain, files.pop("dxf")]):
+            raise InputError("--explain and --dxf: are for a curtain at rest, not for a scene with [motion]")
         say(*default_law_lines(law_path))
         summary, failed = moved, _ = made(run_motion, scene, law_path, out, goes_on=goes_on, **files)
         say(*motion_lines(moved, out))
@@ -167,14 +167,15 @@ def size(scene: Path, law_path: Path | None, cell: str | None, out: Path | None,
 @click.option("--number", type=int, default=6, show_default=True, help="How many frequencies.")
 @_out
 @click.option("--picture/--no-picture", default=True, help="Draw modes.png (needs matplotlib and pyvista).")
-def modes(scene: Path, law_path: Path | None, number: int, out: Path, picture: bool) -> None:
+@click.option("--report", type=PATH, help="Write a report, PDF (needs typst, matplotlib and pyvista).")
+def modes(scene: Path, law_path: Path | None, number: int, out: Path, picture: bool, report: Path | None) -> None:
     """Natural frequencies of the curtain of SCENE at rest, with [motion] at t = 0; writes modes.vtu and modes.png.
 
     Exit code 0: found; 1: the curtain at rest has not converged; 2: bad input; 3: only the picture failed.
     """
-    from macro_fem.motion.modes import run_modes
+    from macro_fem.modes import run_modes
 
-    found, failed = made(run_modes, scene, law_path, out, number=number, picture=picture)
+    found, failed = made(run_modes, scene, law_path, out, number=number, picture=picture, report=report)
     hertz = ", ".join(f"{one:.4g}" for one in found.frequencies_Hz)
     say(*found.notes)
     under = found.loads + ("" if found.time_s is None else ", as they are at t = 0 s")

@@ -34,6 +34,7 @@ COMMANDS = {
     "rve ring": ("--inner", "8", "--wire", "1"),
     "rve export": ("--inner", "8", "--wire", "1", "--size", "30x30", "--out", "part.3mf"),
     "rve sweep": ("--out", "tables", "--r1", "5", "--r2", "0.5", "--alpha", "0", "--beta", "45,60"),
+    "rve simulate": ("--alpha", "20", "--beta", "45", "--set", "h_max=10", "--out", "moved.csv"),
     "macro_fem localize": ("curtain", "--out", "each", "--no-picture"),
     "homogenize fit": ("table.csv", "--out", "fitted.json"),
     "homogenize strain": ("law.json", "--alpha", "20", "--beta", "45"),

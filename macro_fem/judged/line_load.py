@@ -153,7 +153,7 @@ class Nearby:
                 break
             if i not in self._means:
                 cells, part = self.disks.at_point(i)
-                self._means[i] = np.tensordot(part, self.P[cells], axes=1) / part.sum()
+                self._means[i] = np.asarray(np.tensordot(part, self.P[cells], axes=1) / part.sum())
             mean = self._means[i]
             found = float(value(mean[None])[0])
             if found > (1.0 + ALIKE) * best.value:

@@ -223,7 +223,8 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
 
     def pack(self, frame: MotionFrame) -> Kept:
         cones = {} if frame.cones is None else {f"cone_{name}": one for name, one in vars(frame.cones).items()}
-        kept = {name: getattr(frame, name) for name in ("P", "S", "supports", "pushes", "relative_gap")} | cones
+        of_law: Kept = {"P": frame.P, "S": frame.S, "supports": frame.supports, "pushes": frame.pushes}
+        kept = of_law | {"relative_gap": frame.relative_gap} | cones
         return {name: one for name, one in kept.items() if one is not None}
 
     def unpack(self, moment: Moment, account: Account, kept: Kept) -> MotionFrame:

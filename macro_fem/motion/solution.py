@@ -2,7 +2,8 @@
 
 import shutil
 import subprocess
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from homogenize import MembraneLaw
 from macro_fem.answer import Solution
 from macro_fem.motion.curtain import MovingCurtain
 from macro_fem.motion.pace import COLUMNS, Run
-from macro_fem.motion.rings import MovingRings
+from macro_fem.motion.rings import MovingRings, RingFrame
 from macro_fem.motion.series import AnyMover, Series, chosen
 from macro_fem.motion_summary import MotionSummary
 from macro_fem.output.images import Draw, in_turn, save_animation, save_panels
@@ -22,13 +23,13 @@ from macro_fem.output.pictures import Drawings, Pictures
 from macro_fem.output.told import motion_verdict
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.scene.scene import Scene
-from rve.common import InputError, check_out_file, digits, write_text
+from rve.common import InputError, check_out_file, checked, digits, write_text
 from rve.common.drawing.plane import new_axes
 from rve.common.optional import Axes
 from rve.finite import FiniteSolution
 
-PANELS, IMAGES = 4, 48
-"""Moments at most in motion.png, and in motion.gif and motion.html."""
+PANELS, IMAGES, REPORTED = 4, 48, 3
+"""Moments at most in motion.png, in motion.gif and motion.html, and in a report."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -47,8 +48,9 @@ class MotionSolution(Solution):
         """At most so many moments with their times, and how to draw them."""
         series = self.series
         some = chosen(list(series.shown.values()), most, series.weakest)
-        weak = {True: ", the weakest moment", False: ""}
-        titles = (f"{one.moment.t:.3f} s{weak[one.moment.t == series.weakest.moment.t]}" for one in some)
+        why = "the largest force of a point" if self.summary.smallest_factor is None else "the weakest moment"
+        weakest = {series.weakest.moment.t: f", {why}"}
+        titles = (f"{one.moment.t:.3f} s{weakest.get(one.moment.t, '')}" for one in some)
         return list(zip(titles, self.mover.views(some), strict=True))
 
     @property
@@ -58,16 +60,22 @@ class MotionSolution(Solution):
 
     def drawings(self, wanted: Pictures) -> Drawings:
         """Of motion.png, motion.html and motion.gif, and of motion.mp4 beside the GIF where ffmpeg is installed."""
-        wanted.check(self.mover.scene, in_space=True)
+        replace(wanted, stem="motion").check(self.mover.scene, in_space=True)
+        film = b""
 
         def draw_panels(path: Path) -> None:
             at, draws = zip(*self.moments(PANELS), strict=True)
             save_panels(path, draws, f"at {'; '.join(at)}\n{motion_verdict(self.summary)}")
 
+        def animate(path: Path) -> None:
+            nonlocal film
+            save_animation(path, in_turn(self.moments(IMAGES)))
+            film = path.read_bytes()
+
         def encode(path: Path) -> None:
             even = "scale=trunc(iw/2)*2:trunc(ih/2)*2,format=yuv420p"  # what every player shows
-            words = (str(ffmpeg), "-v", "quiet", "-i", path.with_suffix(".gif"), "-vf", even, path)
-            if subprocess.run(words, check=False).returncode:
+            words = (str(ffmpeg), "-v", "quiet", "-f", "gif", "-i", "-", "-vf", even, path)
+            if subprocess.run(words, check=False, input=film).returncode:
                 raise RuntimeError("ffmpeg failed")
 
         drawings: Drawings = {}
@@ -76,7 +84,7 @@ class MotionSolution(Solution):
         if wanted.html:
             drawings["motion.html"] = self.write_html
         if wanted.animation:
-            drawings["motion.gif"] = lambda path: save_animation(path, in_turn(self.moments(IMAGES)))
+            drawings["motion.gif"] = animate
             if ffmpeg := shutil.which("ffmpeg"):
                 drawings["motion.mp4"] = encode
         return drawings
@@ -106,14 +114,20 @@ class MotionSolution(Solution):
         check_page(str(path))
         write_moments(path, in_turn(self.moments(IMAGES)), self.title)
 
+    @checked
+    def write_report(self, path: str | Path, inputs: Sequence[Path | None] = ()) -> None:
+        """Write a report as PDF: verdict, force over time, moments, forces at the weakest one, limits, checksums of
+        `inputs`; InputError without typst (extra `report`) or pyvista."""
+        Pictures(picture=False, report=Path(path)).check(inputs=inputs, in_space=True)
+        from macro_fem.report import write_motion_report
+
+        write_motion_report(path, self.mover.scene, self.summary, self.plot, self.moments(REPORTED), inputs)
+
     def rings(self) -> FiniteSolution:
         """Every ring at the end, of a scene solved ring by ring; InputError of one by a law."""
-        rings = getattr(self.series.last, "rings", None)
-        if not isinstance(rings, FiniteSolution):
-            raise InputError(
-                "rings: of a curtain in motion by a law are not placed; solve(scene, EveryRing()) moves them"
-            )
-        return rings
+        if isinstance(last := self.series.last, RingFrame):
+            return last.rings
+        raise InputError("rings: of a curtain in motion by a law are not placed; solve(scene, EveryRing()) moves them")
 
 
 def mover_of(scene: Scene, who: MembraneLaw | EveryRing) -> AnyMover:

@@ -66,12 +66,16 @@ class Pictures:
             check_page(f"{self.stem}.html", "leave out --html")
         if self.animation and scene is not None and scene.load.steps < 2 and scene.motion is None:
             scene.refuse(f"[load] steps = 1: there is nothing to animate; set steps = 10 or {NO_GIF}")
-        report, dxf = ("report", ".pdf", "matplotlib", "plots"), ("dxf", ".dxf", "ezdxf", "cad")
+        report, dxf = ("report", ".pdf", "typst", "report"), ("dxf", ".dxf", "ezdxf", "cad")
         for name, ending, package, extra in (report, dxf):
             path: Path | None = getattr(self, name)
             if path is not None:
                 require(package, extra, f"--{name}", "leave it out")
                 check_out_file(path, f"--{name}", inputs, (ending,))
+        if self.report is not None:
+            require("matplotlib", "plots", "--report", "leave it out")
+            if in_space or (scene is not None and scene.in_space):
+                space.check_render("--report", "leave it out")
 
 
 FAILURES = (*UNREADABLE, RuntimeError, ArithmeticError, AssertionError, ImportError, MemoryError)
@@ -142,7 +146,7 @@ def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
     loads = np.minimum(np.linalg.norm(P, 2, axis=(1, 2)), values.max())  # some corner has no less than any cell
     ax = _plot_field(solution, loads, scale, ax, shading="gouraud")
     _directions(solution, (values, direction), scale, ax)
-    _loads(solution, ax)
+    draw_loads(solution, ax)
     _legend(ax)
     ax.set_title(space_view.title(solution).replace(", ", ",\n", 1), fontsize=11)
     return ax
@@ -250,14 +254,15 @@ def one_per_square(points: Array, chosen: np.ndarray, number: int) -> np.ndarray
     return np.sort(chosen[order[np.unique(np.floor(place[order]), axis=0, return_index=True)[1]]])
 
 
-def _loads(solution: CurtainSolution, ax: Axes) -> None:
-    """Loads at points and wind as arrows, the longest of each a part of the size of the mesh."""
+def draw_loads(solution: CurtainSolution, ax: Axes, axes: tuple[int, int] = (0, 1)) -> None:
+    """Loads at points and wind as arrows in two coordinates, the longest of each a part of the size of the mesh."""
     size = space_view.LONGEST * solution.problem.mesh.size
     for name, colour, forces, way in FORCES[2:]:
-        at, force = (part[:, :2] for part in forces(solution))
+        at, force = (part[:, axes] for part in forces(solution))
         if longest := float(np.linalg.norm(force, axis=1).max(initial=0.0)):
             ax.update_datalim(at + way * size * force / longest)
-            ends: Any = {"angles": "xy", "scale_units": "xy", "scale": longest / size, "width": 0.009}
+            ends: Any = {"angles": "xy", "scale_units": "xy", "scale": longest / size}
+            ends |= {"units": "inches", "width": 0.04}
             ends |= {"pivot": "tail" if way > 0 else "tip", "label": f"{name}, up to {digits(longest)} N"}
             ax.quiver(*at.T, *force.T, color=colour, ec="white", lw=0.5, zorder=6, **ends)
             ax.autoscale_view()

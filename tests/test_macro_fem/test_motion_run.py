@@ -18,9 +18,9 @@ import macro_fem
 from homogenize import default_law, with_material
 from macro_fem import read_scene
 from macro_fem.cli import main
+from macro_fem.modes import find_modes
 from macro_fem.motion import files, pace
 from macro_fem.motion.curtain import MovingCurtain
-from macro_fem.motion.modes import find_modes
 from macro_fem.motion.pace import COLUMNS
 from macro_fem.motion.series import account_error
 from macro_fem.motion.stage import masses_of, mesh_masses, scene_at
@@ -342,6 +342,8 @@ def test_a_run_that_is_killed_loses_no_step_and_goes_on_to_the_same_end(command,
     assert ends[1]["files"].keys() == ends[0]["files"].keys() == {one.name for one in out.iterdir()} - {"summary.json"}
     assert np.loadtxt(out / "motion.csv", delimiter=",", skiprows=1) == pytest.approx(whole, rel=1e-9, abs=1e-9)
     assert ends[1]["frames"] == ends[0]["frames"]
+    assert [ends[1][key] for key in ("at_s", "weakest")] == [ends[0][key] for key in ("at_s", "weakest")]
+    assert ends[1]["smallest_factor"] == pytest.approx(ends[0]["smallest_factor"], rel=1e-6)
 
 
 def test_another_scene_does_not_go_on(tmp_path):
