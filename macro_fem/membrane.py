@@ -96,6 +96,9 @@ class MembraneSolution(Solution):
         if (demand := self.demand) is not None:
             asked, wall_s = demand.asked(), demand.turns[-1].wall_s
             numbers = replace(numbers, status=demand.status, message=demand.message, wall_s=wall_s)
+        else:  # of all that was solved
+            wall_s = sum(step.wall_s for step in self._shown) + sum(one.summary.wall_s for _, one in self.combinations)
+            numbers = replace(numbers, wall_s=wall_s)
         if self.combinations:
             answers = [(one, found.summary) for one, found in self.combinations]
             rows = combination_rows(answers)

@@ -39,7 +39,7 @@ from macro_fem.scene.supports import build_supports
 from macro_fem.scene.tables import Bar, Wind
 from rve.common import Array, InputError, NotConverged, job, versions
 from rve.common.drawing.plane import Scale
-from rve.common.drawing.space import THREE_QUARTERS, add, add_length, below, look, new_plotter, surface
+from rve.common.drawing.space import THREE_QUARTERS, add, add_length, look, new_plotter, surface
 from rve.common.files import write_mesh_file
 from rve.common.optional import Figure, Plotter
 
@@ -328,7 +328,7 @@ def plot_shapes(modes: Modes, most: int) -> Plotter:
         drawn[scale.label] = np.linalg.norm(shape, axis=1)
         add(plotter, f"shape {panel + 1}", drawn, scale)
         add_supports(plotter, modes.solution, problem.mesh.size)
-        add_length(plotter, below(rest), problem.mesh.size)
+        add_length(plotter, rest, problem.mesh.size)
         look(plotter, THREE_QUARTERS)
     return plotter
 
@@ -337,4 +337,6 @@ def draw_shapes(path: Path, modes: Modes) -> None:
     """The shapes side by side beneath their frequencies, as PNG."""
     each = zip(modes.frequencies_Hz, modes.multiplicity, strict=True)
     words = (f"{one:.3g} Hz ({count} modes)" if count > 1 else f"{one:.3g} Hz" for one, count in each)
-    save_picture(path, plot_shapes(modes, len(modes.shapes)), ", ".join(words))
+    numbered = [f"{number}: {one}" for number, one in enumerate(words, 1)]
+    plotter = plot_shapes(modes, len(modes.shapes))
+    save_picture(path, plotter, "natural frequencies and their shapes", numbered)

@@ -65,7 +65,7 @@ class MotionSolution(Solution):
 
         def draw_panels(path: Path) -> None:
             at, draws = zip(*self.moments(PANELS), strict=True)
-            save_panels(path, draws, f"at {'; '.join(at)}\n{motion_verdict(self.summary)}")
+            save_panels(path, draws, motion_verdict(self.summary), at)
 
         def animate(path: Path) -> None:
             nonlocal film

@@ -29,7 +29,7 @@ from rve.common import (
     tell,
 )
 from rve.common.drawing import space
-from rve.common.drawing.plane import Scale, new_axes, new_figure, round_top, save_figure
+from rve.common.drawing.plane import VERMILION, Scale, new_axes, new_figure, round_top, save_figure
 from rve.common.files import UNREADABLE
 from rve.common.optional import Axes, Figure
 
@@ -114,7 +114,7 @@ def curtain_drawings(steps: Sequence[CurtainSolution], wanted: Pictures) -> Draw
 
     def draw_in_space(path: Path) -> None:
         both = [partial(space_view.draw_curtain, last, direction=way) for way in (space.FRONT, space.THREE_QUARTERS)]
-        save_panels(path, both, space_view.title(last))
+        save_panels(path, both, space_view.title(last), ("from the front", "from the right, above"))
 
     def animate(path: Path) -> None:
         titles = [space_view.title(step).replace(" N, ", " N\n") for step in steps]
@@ -148,7 +148,7 @@ def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
     _directions(solution, (values, direction), scale, ax)
     draw_loads(solution, ax)
     _legend(ax)
-    ax.set_title(space_view.title(solution).replace(", ", ",\n", 1), fontsize=11)
+    ax.set_title(space_view.title(solution).replace(", ", ",\n", 1), fontsize=9)
     return ax
 
 
@@ -172,18 +172,27 @@ def plot_utilisation(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
 
 
 def panels(solution: CurtainSolution) -> Figure:
-    """Line loads with directions, and the states: slack, drawn in one direction (it would wrinkle), taut in both."""
+    """Line loads with directions, and the states: slack, drawn in one direction (it would wrinkle), taut in both; cells
+    that lie with their back to the front, by a fold."""
+    from matplotlib.collections import PolyCollection
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
     extent = np.ptp(np.vstack([solution.x[:, :2], solution.problem.disc.nodes]), axis=0)
-    figure = new_figure(10.4, float(np.clip(4.2 * extent[1] / extent[0], 2.6, 8.0)) + 1.4)
+    figure = new_figure(6.4, float(np.clip(2.5 * extent[1] / extent[0], 2.0, 6.4)) + 1.3)
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     plot_line_loads(solution, axes[0])
     state = solution.state()
     _colour(solution, state, axes[1], cmap=ListedColormap(list(STATES.values())), vmin=0.0, vmax=2.0)
     shown = (one for number, one in enumerate(STATES.items()) if (state == number).any())
-    _legend(axes[1], [Patch(color=colour, label=name) for name, colour in shown])
+    patches = [Patch(color=colour, label=name) for name, colour in shown]
+    F = solution.problem.disc.cell_mean(solution.F)[:, :2]
+    if (is_over := np.linalg.det(F) < 0.0).any():
+        over: Any = {"facecolor": "none", "edgecolor": VERMILION, "hatch": "//////", "lw": 0.3}
+        cells = solution.corners[:, :2][solution.problem.mesh.mesh.t.T[is_over]]
+        axes[1].add_collection(PolyCollection(list(cells), **over))
+        patches.append(Patch(**over, label="cell folded over"))
+    _legend(axes[1], patches)
     return figure
 
 
@@ -218,6 +227,7 @@ def _colour(solution: CurtainSolution, values: Array, ax: Any, **style: Any) -> 
             ax.scatter(x, y, marker=marker, s=size, color=face, edgecolors=HELD, zorder=5, label=label)
     ax.autoscale_view()
     ax.set(aspect="equal", xlabel="x, mm", ylabel="y, mm")
+    ax.tick_params(labelsize=8)
     ax.spines[["top", "right"]].set_visible(False)
 
 
@@ -271,4 +281,4 @@ def draw_loads(solution: CurtainSolution, ax: Axes, axes: tuple[int, int] = (0, 
 def _legend(ax: Axes, more: Sequence[Any] = ()) -> None:
     """What lines and markers mean, and the handles `more`, below the axes."""
     handles = [*more, *ax.get_legend_handles_labels()[0]]
-    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, frameon=False, fontsize=9)
+    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=1, frameon=False, fontsize=8)
