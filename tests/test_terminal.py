@@ -31,6 +31,8 @@ COMMANDS = {
     "rve table": ("--out", "new.csv", "--alpha", "0,20", "--beta", "30,60", "--rings"),
     "rve case": ("--alpha", "20", "--beta", "45"),
     "rve support": ("--S", "0.5,-0.1,0.5"),
+    "rve ring": ("--inner", "8", "--wire", "1"),
+    "rve export": ("--inner", "8", "--wire", "1", "--size", "30x30", "--out", "part.3mf"),
     "rve sweep": ("--out", "tables", "--r1", "5", "--r2", "0.5", "--alpha", "0", "--beta", "45,60"),
     "rve simulate": ("--alpha", "20", "--beta", "45", "--set", "h_max=10", "--out", "moved.csv"),
     "macro_fem localize": ("curtain", "--out", "each", "--no-picture"),
@@ -49,7 +51,7 @@ COMMANDS = {
     "macro_fem compare": ("scene.toml", "--out", "both.json"),
 }
 """Arguments with which every command runs for a few seconds at most, in the folder of `folder`."""
-ANSWERS = {"rve case", "rve support", *(f"macro_fem {name}" for name in ("compare", "modes", "size"))}
+ANSWERS = {"rve case", "rve support", "rve ring", *(f"macro_fem {name}" for name in ("compare", "modes", "size"))}
 ANSWERS |= {f"homogenize {name}" for name in ("strain", "support", "strength")}
 """Commands that are asked for what they print: they print it with --quiet too."""
 
