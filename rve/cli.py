@@ -25,7 +25,6 @@ from rve.common import (
 from rve.common.cell_fields import Joint, check_ring_size
 from rve.common.commands.command_line import Group, answer, check_plot, options, parse_load, say, say_next
 from rve.common.commands.sweeps import SweepItem, further_options, run_sweep, sweep_options
-from rve.common.files import check_out_file
 from rve.common.materials import MATERIALS, material_of
 from rve.common.ring_sizes import DEFAULT_RING, RING_SIZES, radii_of, ring_sizes, ring_words
 from rve.common.typed import BadField
