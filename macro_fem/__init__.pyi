@@ -35,6 +35,7 @@ from .scene.tables import EdgeLoad as EdgeLoad
 from .scene.tables import Load as Load
 from .scene.tables import PatchLoad as PatchLoad
 from .scene.tables import PointLoad as PointLoad
+from .scene.tables import Project as Project
 from .scene.tables import Solver as Solver
 from .scene.tables import Wind as Wind
 from .size import Size as Size

@@ -1,5 +1,6 @@
 """Solving a scene, from Python and from files."""
 
+import time
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -25,7 +26,7 @@ from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import Combination, LiveLoad
 from macro_fem.summary import CurtainSummary
 from rve import Cell
-from rve.common import InputError, check_out_job, checked, heard_by, noted_if_stopped, part_of
+from rve.common import InputError, Progress, check_out_job, checked, heard_by, noted_if_stopped, part_of
 
 Who = MembraneLaw | LawInterval | OnDemand | EveryRing | None
 """Who answers: a law, the interval of laws of a table, a law asked of the rings on the way, or every ring; None for the
@@ -33,7 +34,7 @@ law of rings with r1 = 5 mm and r2 = 0.5 mm."""
 
 
 @overload
-def solve(scene: Scene, who: EveryRing, *, progress: Callable[[str], object] | None = None) -> EveryRingSolution:
+def solve(scene: Scene, who: EveryRing, *, progress: Callable[[Progress], object] | None = None) -> EveryRingSolution:
     """The answer of every ring."""
 
 
@@ -42,17 +43,17 @@ def solve(
     scene: Scene,
     who: MembraneLaw | LawInterval | OnDemand | None = None,
     *,
-    progress: Callable[[str], object] | None = None,
+    progress: Callable[[Progress], object] | None = None,
 ) -> MembraneSolution:
     """The answer of a law."""
 
 
 @checked
-def solve(scene: Scene, who: Who = None, *, progress: Callable[[str], object] | None = None) -> Solution:
+def solve(scene: Scene, who: Who = None, *, progress: Callable[[Progress], object] | None = None) -> Solution:
     """The answer to a scene, a `MotionSolution` to one with [motion].
 
-    progress: is told in words, as `print` would be, what is being done and how far it is; of motions with the steps
-    and the time used and left.
+    progress: is called, as `print` would be, with a `Progress`: what is being done, and where it can be counted how far
+    it is, with the time used and left.
 
     A law gives the curtain as a membrane. Bounds of a scene that asks for them hold for the law, or for its rings if it
     is an interval; the curtain is then that of the upper bound, by the inner law.
@@ -80,10 +81,10 @@ def _solve(scene: Scene, who: Who) -> Solution:
         return solve_motion(scene, default_law() if law is None else law)
     if isinstance(who, EveryRing):
         return solve_every_ring(scene, who)
-    answer = _solve_alone(scene, who)
-    others = []
+    begun, count = time.monotonic(), len(scene.combination)
+    answer, others = _solve_alone(scene, who), []
     for number, one in enumerate(scene.combination, 1):
-        with part_of(f"combination {one.name}, {number} of {len(scene.combination)}"):
+        with part_of(f"combination {one.name}, {number} of {count}", number, count + 1, begun):
             others.append((one, _solve_alone(combined(scene, one), who)))
     with part_of("forces on a coarser mesh"):
         return replace(answer, combinations=tuple(others), coarser=_coarser(answer, who))

@@ -16,7 +16,7 @@ from macro_fem.output.images import Draw
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import LiveLoad, Timed
-from rve.common import Array, part_of, time_left
+from rve.common import Array, part_of
 
 Kept = dict[str, Any]
 """Numbers and arrays by name, as a file of numpy has them."""
@@ -222,14 +222,13 @@ class Mover(ABC, Generic[F, A]):
         kinks = {t for item in timed for t, _ in item.history}
         yield frame
         while (t := frame.moment.t) < end - near:
-            share = (t - first) / (end - first)
             of = f" of about {count + max(1, round((end - t) / frame.h))}" if frame.h > 0.0 else ""
             done = f"step {count + 1}{of}, {t:.4g} of {end:.4g} s"
             count += 1
             if any(abs(t - release) <= near for release in releases):
                 frame = replace(frame, is_euler=True)
             stops = [one for one in releases if one > t + near] + [max(k, t + least) for k in kinks if k > t + near]
-            with part_of(f"{self.what} in motion, {done}; {time_left(begun, share)}"):
+            with part_of(f"{self.what} in motion, {done}", t - first, end - first, begun):
                 frame = self._accurate(frame, min([end, *stops]) - t)
             yield frame
 

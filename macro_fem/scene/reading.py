@@ -11,12 +11,19 @@ from macro_fem.scene.moving import Ball, Motion
 from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import Mesh, MeshFile, Outline, Shape
-from macro_fem.scene.tables import Combination, Item, LiveLoad, Load, Solver
+from macro_fem.scene.tables import Combination, Item, LiveLoad, Load, Project, Solver
 from rve.common import InputError, Typed, read_as, read_toml, read_typed, refuse_unknown, shown
 from rve.common.materials import described
 from rve.common.typed import not_one_of
 
-PARTS: dict[str, type[Typed]] = {"mesh": Mesh, "load": Load, "solver": Solver, "start": Start, "motion": Motion}
+PARTS: dict[str, type[Typed]] = {
+    "mesh": Mesh,
+    "load": Load,
+    "solver": Solver,
+    "start": Start,
+    "motion": Motion,
+    "project": Project,
+}
 """Tables of a scene file that are one record."""
 LISTS: dict[str, type[Item]] = {"support": support_kinds.Support, "obstacle": Obstacle, "body": Ball}
 """Lists of a scene file whose entries say their `kind`."""

@@ -5,6 +5,7 @@ towards the viewer; a rectangle spans from (0, 0) to (width, height), a disk is 
 three components and are kept as given; a third one that is not 0 takes the curtain into space.
 """
 
+import datetime
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -204,6 +205,26 @@ class Combination(Typed):
     edge: PartialFactor = 1.0
     point: PartialFactor = 1.0
     patch: PartialFactor = 1.0
+
+
+Words = Annotated[str, Meta(max_length=200)]
+
+
+@dataclass(frozen=True)
+class Project(Typed):
+    """What a report is headed by; a date of TOML is kept as its text, "2026-11-28"."""
+
+    title: Words = ""
+    client: Words = ""
+    author: Words = ""
+    number: Words = ""
+    date: Words = ""
+
+    def __post_init__(self) -> None:
+        """A date becomes a text, then every field is checked."""
+        if isinstance(self.date, datetime.date):
+            object.__setattr__(self, "date", self.date.isoformat())
+        super().__post_init__()
 
 
 @dataclass(frozen=True)
