@@ -100,6 +100,11 @@ class LoadHistory(ByValue):
         """Line loads (m, 3) in s_hat."""
         return self.size[:, None] * cauchy_line_load(self.alpha_deg, self.beta_deg)
 
+    def __str__(self) -> str:
+        return f"LoadHistory: {len(self.time_s)} loads in {self.time_s[-1]:g} s"
+
+    __repr__ = __str__
+
 
 def read_history(path: AnyPath) -> LoadHistory:
     """The columns time_s, alpha_deg, beta_deg, size of a CSV file; InputError for others."""
