@@ -1,10 +1,11 @@
-"""Command line: `python -m rve table`, `case`, `support`, `sweep`, `study`. `--help` of each says what it takes.
+"""Command line: `python -m rve table`, `case`, `support`, `sweep`, `study`, `weaves`; `--help` says what each takes.
 
 How commands end: `rve.common.commands.command_line`.
 """
 
 import itertools
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ MOST_TABLES = 10_000
 FIT_FROM = 10
 """Rows from which a law is offered."""
 
-WEAVE_NAMES = ("4-in-1", "6-in-1")
+WEAVE_NAMES = ("4-in-1", "6-in-1", "8-in-1", "japanese-4-in-1", "japanese-6-in-1")
 """The names in `rve.geometry.weave.WEAVES`, which NumPy need not be imported for."""
 
 FILE = click.Path(dir_okay=False, path_type=Path)
@@ -36,15 +37,17 @@ grain_option = _choice(
     "--grain", "y", "x", text="Axis along which rings interlace; x exchanges the axes: 6-in-1 is then its mirror image."
 )
 cell_options = options(
-    click.option("--r1", type=float, default=5.0, show_default=True, help="Radius of a ring's centre circle in mm."),
-    click.option("--r2", type=float, default=0.5, show_default=True, help="Radius of the wire in mm."),
+    click.option("--r1", type=float, help="Radius of a ring's centre circle in mm.  [default: 5, or that in the file]"),
+    click.option("--r2", type=float, help="Radius of the wire in mm.  [default: 0.5, or that in the file]"),
     click.option("--material", help=f"Named material: {', '.join(MATERIALS)}.  [default: steel]"),
     click.option("--density", type=float, help="Density of the rings in kg/m3; by default the material's."),
     click.option("--young", type=float, help="Young's modulus in N/mm2; by default the material's."),
     click.option("--poisson", type=float, help="Poisson's ratio, without unit; by default the material's."),
     click.option("--yield", type=float, help="Yield stress in N/mm2; by default the material's."),
     click.option("--ultimate", type=float, help="Ultimate stress in N/mm2; by default the material's."),
-    _choice("--weave", *WEAVE_NAMES, text="Weave."),
+    click.option(
+        "--weave", default=WEAVE_NAMES[0], show_default=True, help=f"{', '.join(WEAVE_NAMES)}, or a TOML file."
+    ),
     grain_option,
 )
 larger_options = options(
@@ -60,12 +63,23 @@ branch_options = options(
 
 
 def asked_cell(
-    r1: float, r2: float, grain: Any, weave: str, cells: str = "1x1", centres: Any = "plane", **material: Any
+    r1: float | None,
+    r2: float | None,
+    grain: Any,
+    weave: str,
+    cells: str = "1x1",
+    centres: Any = "plane",
+    **material: Any,
 ) -> Any:
     """The cell asked for; InputError for rings that no mesh has."""
     from rve.geometry.cell import Cell
-    from rve.geometry.weave import WEAVES
+    from rve.geometry.weave import named_weave, sizes_of
 
+    try:
+        asked, sizes = named_weave(weave), sizes_of(weave)
+    except InputError as error:
+        raise InputError(f"--weave = {weave}: {error}") from None
+    r1, r2 = sizes[0] if r1 is None else r1, sizes[1] if r2 is None else r2
     check_ring_size(r1, "--r1")
     metal = material_of(material, prefix="--")
     try:
@@ -73,7 +87,7 @@ def asked_cell(
     except ValueError:
         raise InputError(f"--cells = {cells}: write two numbers, such as 2x2") from None
     try:
-        return Cell(r1, r2, WEAVES[weave], grain, metal.density_kg_per_mm3, metal, (nx, ny), centres)
+        return Cell(r1, r2, asked, grain, metal.density_kg_per_mm3, metal, (nx, ny), centres)
     except BadField as error:
         raise InputError(f"--{error.what}") from None
 
@@ -233,7 +247,7 @@ def table_items(
     items = []
     for name, big, small in cells:
         r1_text, r2_text = (repr(float(one)).removesuffix(".0") for one in (big, small))  # another name for each number
-        table = out.resolve() / f"{name}_{grain}_r1-{r1_text}_r2-{r2_text}.csv"
+        table = out.resolve() / f"{Path(name).name.removesuffix('.toml')}_{grain}_r1-{r1_text}_r2-{r2_text}.csv"
         asked = ("--weave", name, "--grain", grain, "--r1", repr(big), "--r2", repr(small))
         arguments = ("table", "--out", str(table), *asked, *further)
         items.append(SweepItem(table.stem, "rve", arguments, sidecar_path(table)))
@@ -247,6 +261,34 @@ def table_columns(record: Mapping[str, Any]) -> dict[str, Any]:
     converged = rows.get("converged", 0)
     counts = {"rows_converged": converged, "rows_other": sum(rows.values()) - converged}
     return {name: record.get(name, "") for name in names} | counts
+
+
+@main.command(epilog="Example: rve weaves --r1 6 --r2 0.6")
+@cell_options
+def weaves(weave: str, **rest: Any) -> None:
+    """Print the weaves of the catalogue, with the one of --weave where that is a file: rings of a cell, least r1/r2 and
+    aspect ratio (inner diameter over wire), and mass and rings per area where such rings make a mesh."""
+    from rve.geometry.weave import WEAVES, named_weave
+    from rve.solve import reference_cell
+
+    rows = []
+    for name in dict.fromkeys((*WEAVES, weave)):
+        one = named_weave(name)
+        row = {"weave": one.name, "rings_a_cell": one.classes, "sizes": len({*zip(one.radii, one.wires, strict=True)})}
+        row |= {"least_r1_over_r2": one.jamming_ratio, "least_aspect_ratio": one.jamming_ratio - 1.0}
+        with suppress(InputError):  # wire that is too thick for this weave
+            info = reference_cell(asked_cell(weave=name, **rest))
+            row |= {"areal_mass_kg_per_m2": info.areal_mass_kg_per_m2, "b_x_mm": info.b_x_mm, "b_y_mm": info.b_y_mm}
+            row |= {"rings_per_m2": 1e6 * one.classes / (info.b_x_mm * info.b_y_mm)}
+        rows.append(row)
+    names = max(len(str(row["weave"])) for row in rows)
+    lines = [f"{'weave':{names}}  rings  least r1/r2    AR  kg/m2  rings/m2"]
+    for row in rows:
+        mass, count = row.get("areal_mass_kg_per_m2"), row.get("rings_per_m2")
+        there = "  too thick" if mass is None else f"  {mass:5.2f}  {count:8.0f}"
+        sizes = f"{row['rings_a_cell']:5d}  {row['least_r1_over_r2']:11.3f}  {row['least_aspect_ratio']:4.2f}"
+        lines.append(f"{row['weave']:{names}}  {sizes}{there}")
+    answer({"weaves": rows}, "\n".join(lines))
 
 
 @main.command(epilog="Example: rve study --out study")

@@ -90,6 +90,11 @@ class StoredLaw(MembraneLaw):
     __repr__ = __str__
 
 
+def known(record: dict[str, Any], key: str) -> dict[str, Any]:
+    """The record without this key where it has no value."""
+    return record if record[key] is not None else {name: value for name, value in record.items() if name != key}
+
+
 def law_record(law: StoredLaw) -> dict[str, Any]:
     """What the file of a law holds."""
     rows = {} if law.rows is None else {"table_rows": law.rows.to_dict()}
@@ -98,7 +103,7 @@ def law_record(law: StoredLaw) -> dict[str, Any]:
         "schema": SCHEMA,
         "kind": law.name,
         "units": UNITS,
-        "cell": None if law.cell is None else asdict(law.cell),
+        "cell": None if law.cell is None else known(asdict(law.cell), "drawing"),
         "parameters": law.to_dict(),
         "stiffness_is_measured": law.stiffness_is_measured,
         **({} if law.strength is None else {"strength": law.strength.to_dict()}),

@@ -127,7 +127,9 @@ class RingField:
     @property
     def drawn(self) -> DrawnRings:
         """The rings to draw, coloured by contact force."""
-        return DrawnRings(self.centre_mm, self.normal, self.cell.r1, self.cell.r2, self.contact_force_N)
+        cell, kind = self.cell, self.sites.index[:, 0]
+        radii, wires = cell.r1 * cell.weave.radii[kind], cell.r2 * cell.weave.wires[kind]
+        return DrawnRings(self.centre_mm, self.normal, radii, wires, self.contact_force_N)
 
     @property
     def data(self) -> dict[str, Array]:
