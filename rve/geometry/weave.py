@@ -372,7 +372,7 @@ def named_weave(name: str) -> Weave:
         return WEAVES[name]
     if Path(name).suffix == ".toml":
         return read_weave(name)
-    raise InputError(f"weave = {shown(name)}: {not_one_of(name, WEAVES)}; or a TOML file of your own")
+    raise InputError(f"weave = {shown(name)}: {not_one_of(name, [*WEAVES, 'FILE.toml'])}")
 
 
 class Catalogue(Mapping[str, Weave]):

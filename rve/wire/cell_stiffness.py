@@ -139,6 +139,7 @@ def contact_ends(equations: Equations, equilibrium: Equilibrium) -> Ends:
     normal = equilibrium.pose.normals[np.arange(n)[:, None], ring]
     e1, e2 = tangent_frame(normal)
     phi = np.arctan2(dot(rho, e2), dot(rho, e1))
+    rho = rho / equations.weave.radii[ring][..., None]
     direction = np.stack([dot(push, rho), dot(push, cross(normal, rho)), dot(push, normal)], axis=2)
     e1, e2 = tangent_frame(equilibrium.pose.normals)
     grain, sense = np.arctan2(e2[..., 1], e1[..., 1]), np.copysign(1.0, equilibrium.pose.normals[..., 2])
