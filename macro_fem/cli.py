@@ -55,7 +55,9 @@ _goes_on = click.option(
 @click.option("--animation", is_flag=True, help="Draw the load steps as curtain.gif (needs pyvista).")
 @click.option("--html", is_flag=True, help="Write curtain.html, which turns in a browser (needs plotly).")
 @click.option("--table", type=PATH, help="Table, CSV, to begin with instead of a law; with --cell.")
-@click.option("--cell", metavar="R1,R2", help="Ask these rings for the law, radii in mm, where the curtain needs it.")
+@click.option(
+    "--cell", metavar="R1,R2", help="Ask these rings for the law, radii in mm or inner=8,wire=1.6, where it is needed."
+)
 @renamed("--rings", "--cell R1,R2")
 @click.option("--weave", help="With --cell: weave, by name or as a TOML file.  [default: 4-in-1]")
 @click.option(
@@ -96,8 +98,8 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
         if any([explain, files.pop("report"), files.pop("dxf")]):
             raise InputError("--explain, --report and --dxf: are for a curtain at rest, not for a scene with [motion]")
         say(*default_law_lines(law_path))
-        summary, failed = made(run_motion, scene, law_path, out, goes_on=goes_on, **files)
-        say(*motion_lines(summary, out))
+        summary, failed = moved, _ = made(run_motion, scene, law_path, out, goes_on=goes_on, **files)
+        say(*motion_lines(moved, out))
     _answer_or_go_on(summary, failed, "run", scene, *(("--law", law_path) if law_path else ()), "--out", out)
     _say_next_of_curtain(out, summary)
 
@@ -119,7 +121,9 @@ def _answer_or_go_on(summary: Mapping[str, Any], failed: NotDrawn | None, comman
     epilog="Example: macro_fem size scene.toml --law law.json --vary pitch --from 50 --to 400 --factor 3 --out pitch",
 )
 @_scene_and_law
-@click.option("--cell", metavar="R1,R2", help="Ask these rings for the law, radii in mm; --vary r2 needs it.")
+@click.option(
+    "--cell", metavar="R1,R2", help="Ask these rings for the law, radii in mm or inner=8,wire=1.6; --vary r2 needs it."
+)
 @renamed("--rings", "--cell R1,R2")
 @click.option("--vary", type=click.Choice(["pitch", "mass", "speed", "r2"]), required=True, help="What is varied.")
 @click.option("--from", "low", type=float, required=True, help="Smallest value: mm, kg or m/s.")
@@ -168,12 +172,12 @@ def modes(scene: Path, law_path: Path | None, number: int, out: Path, picture: b
 
     Exit code 0: found; 1: the curtain at rest has not converged; 2: bad input; 3: only the picture failed.
     """
-    from macro_fem.motion.modes import run_modes
+    from macro_fem.modes import run_modes
 
     found, failed = made(run_modes, scene, law_path, out, number=number, picture=picture)
-    hertz = ", ".join(f"{one:.4g}" for one in found["frequencies_Hz"])
-    say(*found["notes"])
-    under = found["loads"] + ("" if found["time_s"] is None else ", as they are at t = 0 s")
+    hertz = ", ".join(f"{one:.4g}" for one in found.frequencies_Hz)
+    say(*found.notes)
+    under = found.loads + ("" if found.time_s is None else ", as they are at t = 0 s")
     answer(found, f"natural frequencies in Hz: {hertz}; under {under}; written to {out}")
     end_as(failed)
 
@@ -282,8 +286,8 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animatio
     is_moving = hung.motion is not None
     summary: Mapping[str, Any]
     if is_moving:
-        summary, failed = made(run_motion, scene, law_path, out, animation=animation, goes_on=goes_on, **how)
-        say(*motion_lines(summary, out))
+        summary, failed = moved, _ = made(run_motion, scene, law_path, out, animation=animation, goes_on=goes_on, **how)
+        say(*motion_lines(moved, out))
     elif goes_on or animation:
         raise InputError(AT_REST if goes_on else NO_MOMENTS)
     else:
@@ -331,8 +335,10 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: Any, out: Pa
 @click.option("--max-rings", type=click.IntRange(min=1), default=100_000, show_default=True, help="More are refused.")
 @click.option("--picture/--no-picture", default=True, show_default=True, help="Draw rings.png (needs pyvista).")
 @click.option("--html", is_flag=True, help="Write rings.html, which turns in a browser (needs plotly).")
-@click.option("--stl", is_flag=True, help="Write rings.stl, tori for CAD and printing.")
-def localize(curtain: Path, out: Path, window: str | None, max_rings: int, **files: bool) -> None:
+@click.option(
+    "--format", "solids", type=click.Choice(["3mf", "glb", "stl"]), help="Write tori for printers, CAD and browsers."
+)
+def localize(curtain: Path, out: Path, window: str | None, max_rings: int, **files: Any) -> None:
     """Every ring of CURTAIN, the folder of a run: rings.vtu, rings.png, worst_cell.csv, localize.json."""
     from macro_fem.output.told import ring_field_lines
     from macro_fem.rings.localize import run_localize

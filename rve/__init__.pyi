@@ -11,6 +11,11 @@ from .geometry import Cell as Cell
 from .geometry import Weave as Weave
 from .geometry import read_weave as read_weave
 from .locking.interior_point import DirectOptions as DirectOptions
+from .piece import Piece as Piece
+from .simulation import LoadHistory as LoadHistory
+from .simulation import SimulationOptions as SimulationOptions
+from .simulation import friction_loop as friction_loop
+from .simulation import simulate as simulate
 from .solve import reference_cell as reference_cell
 from .solve import solve_table as solve_table
 from .support_function import support as support

@@ -113,16 +113,22 @@ def nouns(table, answer, tmp_path_factory):
     """Every public record, after it was used."""
     out = tmp_path_factory.mktemp("nouns")
     answer.save(out, picture=False)
-    cell, law, E = rve.Cell(), homogenize.elastic_law(homogenize.default_law()), np.array([[0.1, 0.0, 0.1]])
-    law.strength.utilisation(E)
+    cell, law, E = rve.Cell(), homogenize.default_law().elastic(), np.array([[0.1, 0.0, 0.1]])
+    vars(law)["strength"].utilisation(E)
     scene = macro_fem.Scene(macro_fem.Rectangle(66, 63), [macro_fem.Hooks(pitch=66)], macro_fem.Mesh(4))
     every = macro_fem.solve(scene, macro_fem.EveryRing(cell))
     still, n = slack_rings(every.found.mesh), len(every.found.centre)
     at_rest = ring_places(still), np.zeros((n, 3)), np.zeros((n, 3), bool), still.centre
     drawn = [still.drawn, step_rings(still, np.ones(2 * n), *at_rest)]
-    of_rings = [rve.DirectOptions(), FiniteOptions(), RoundBody((0.0, 0.0, -50.0), 5.0, 1.0, "ball")]
+    of_rings = [rve.SimulationOptions(), rve.LoadHistory([0.0], [0.0], [45.0], [1.0])]
+    of_rings += [rve.DirectOptions(), FiniteOptions(), RoundBody((0.0, 0.0, -50.0), 5.0, 1.0, "ball")]
     of_rings += [rve.support(cell, [0.5, 0.0, 0.5]), rve.pulled_ring(5.0, 0.5), cell_forces(E[0] + 1.0, cell)]
-    of_rings += [HalfSpace((0.0, 1.0, 0.0), -99.0), locked_arrangements(cell), nearest_poses(E, cell)]
+    of_rings += [
+        rve.Piece.cut(cell, (40, 40)),
+        HalfSpace((0.0, 1.0, 0.0), -99.0),
+        locked_arrangements(cell),
+        nearest_poses(E, cell),
+    ]
     laws = [law, law.half_spaces(), law.cut(E), law.response(E), homogenize.ClothLaw(), homogenize.diagonal_net()]
     laws += [homogenize.FitOptions(), homogenize.read_law_interval(), homogenize.locked_strain(law, [20.0], [30.0])]
     at, kinds = [0.0, 0.0, 0.0], macro_fem
@@ -178,6 +184,8 @@ REFUSED = [
     (lambda: rve.Cell(r1="5 mm"), "r1 = '5 mm': expected a number, got a text; write the number alone, in mm: 5"),
     (lambda: rve.Cell(material={"density": 5.0}), "is no Material, nor the name of one"),
     (lambda: rve.Cell(weave="4in1"), "japanese-6-in-1, FILE.toml; did you mean 4-in-1?"),
+    (lambda: rve.Piece.cut(rve.Cell(), 40), "size = 40: expected a list of 2, got a whole number"),
+    (lambda: rve.Piece.cut(rve.Cell(), (40, 40)).save("a.obj"), "give a name that ends in .3mf or .glb or .stl"),
     (lambda: rve.named_material("titanium"), "did you mean titanium grade"),
     (lambda: rve.pulled_ring(5, 0.5, "steel"), "material = 'steel': expected Material"),
     (lambda: FiniteOptions(tolerance=float("nan")), "FiniteOptions: tolerance = nan: expected a number > 0.0"),

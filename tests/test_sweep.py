@@ -162,7 +162,7 @@ def test_an_idle_worker_that_is_stopped_says_nothing(capfd):
 def test_a_cluster_that_loses_a_worker_half_way_gives_the_same_tables(tmp_path, single):
     import distributed
 
-    items = table_items(tmp_path, [5.0], [0.5, 1.0, 0.6, 0.7, 0.8, 0.9], ["4-in-1"], "y", GRID)
+    items = table_items(tmp_path, {"r1": "5", "r2": "0.5,1,0.6,0.7,0.8,0.9"}, ["4-in-1"], "y", GRID)
     killed = []
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
 
@@ -180,7 +180,7 @@ def test_a_cluster_that_loses_a_worker_half_way_gives_the_same_tables(tmp_path, 
 
 
 def test_a_sweep_that_loses_its_processes_keeps_what_is_finished_and_says_what_is_not(tmp_path):
-    items = table_items(tmp_path, [5.0], [0.5, 1.0, 0.6, 0.7], ["4-in-1"], "y", GRID)
+    items = table_items(tmp_path, {"r1": "5", "r2": "0.5,1,0.6,0.7"}, ["4-in-1"], "y", GRID)
 
     def listen(work):
         for child in active_children():
@@ -202,6 +202,6 @@ def test_a_fault_beside_the_commands_fails_its_items_by_name(tmp_path, monkeypat
     """As does a record that is written to the disk of another machine."""
     monkeypatch.setattr("rve.common.commands.sweeps.ProcessPoolExecutor", lambda *_, **how: ThreadPoolExecutor(1))
     monkeypatch.setattr("rve.common.commands.sweeps.run_item", done)
-    (how,) = sweep(table_items(tmp_path, [5.0], [0.5], ["4-in-1"], "y", GRID), tmp_path, jobs=2)
+    (how,) = sweep(table_items(tmp_path, {"r1": "5", "r2": "0.5"}, ["4-in-1"], "y", GRID), tmp_path, jobs=2)
     assert (how.code, words in how.message) == (1, True)
     assert not list(tmp_path.glob(".sweep/*.json"))

@@ -32,7 +32,10 @@ COMMANDS = {
     "rve case": ("--alpha", "20", "--beta", "45"),
     "rve support": ("--S", "0.5,-0.1,0.5"),
     "rve weaves": (),
+    "rve ring": ("--inner", "8", "--wire", "1"),
+    "rve export": ("--inner", "8", "--wire", "1", "--size", "30x30", "--out", "part.3mf"),
     "rve sweep": ("--out", "tables", "--r1", "5", "--r2", "0.5", "--alpha", "0", "--beta", "45,60"),
+    "rve simulate": ("--alpha", "20", "--beta", "45", "--set", "h_max=10", "--out", "moved.csv"),
     "macro_fem localize": ("curtain", "--out", "each", "--no-picture"),
     "homogenize fit": ("table.csv", "--out", "fitted.json"),
     "homogenize strain": ("law.json", "--alpha", "20", "--beta", "45"),
@@ -49,7 +52,8 @@ COMMANDS = {
     "macro_fem compare": ("scene.toml", "--out", "both.json"),
 }
 """Arguments with which every command runs for a few seconds at most, in the folder of `folder`."""
-ANSWERS = {"rve case", "rve support", "rve weaves", *(f"macro_fem {name}" for name in ("compare", "modes", "size"))}
+ANSWERS = {"rve case", "rve support", "rve ring", "rve weaves"}
+ANSWERS |= {f"macro_fem {name}" for name in ("compare", "modes", "size")}
 ANSWERS |= {f"homogenize {name}" for name in ("strain", "support", "strength")}
 """Commands that are asked for what they print: they print it with --quiet too."""
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from macro_fem.curtain.problem import CurtainProblem, gathered_start, stabilising_tension
 from macro_fem.curtain.shape import solve_shape
-from macro_fem.curtain.solution import CurtainSolution, InnerForces, slackened
+from macro_fem.curtain.solution import CurtainSolution, slackened
+from macro_fem.curtain.state import InnerForces
 from macro_fem.fem.cells import components
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.supports import check_pins
@@ -178,7 +179,7 @@ def _tension_allowance(problem: CurtainProblem, tension: float) -> float:
     """
     half = np.array([[0.5, 0.0, 0.5]])
     largest = np.sqrt(2.0 * (2.0 + 4.0 * float(problem.law.support(half)[0])))
-    return tension * largest * float(problem.disc.weight.sum())
+    return float(tension * largest * float(problem.disc.weight.sum()))
 
 
 def self_balanced(problem: CurtainProblem, x: Array) -> int:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from macro_fem.bounds.interval import CurtainBounds
-from macro_fem.curtain import CurtainProblem, CurtainSolution, forces_by, forces_note, wind_drags
+from macro_fem.curtain import CurtainProblem, CurtainSolution, CurtainState, forces_by, forces_note, wind_drags
 from macro_fem.fem.cells import counterclockwise, padded
 from macro_fem.judged import judge_line_loads, judge_strength, links, support_forces, utilisation
 from macro_fem.scene.loads import PER_MM2, areal_mass
@@ -69,7 +69,7 @@ def summarize(solution: CurtainSolution) -> CurtainNumbers:
         wall_s=solution.wall_s,
         versions=versions("scikit-fem", "scikit-sparse"),
     )
-    least = next(iter(links(found)), None)  # of what is known and loaded
+    least = next(iter(links(found, found.support_forces)), None)  # of what is known and loaded
     if least is None:
         return found
     return replace(found, weakest=least.name, weakest_factor=least.factor, weakest_place=least.place)
@@ -159,7 +159,7 @@ def collection(entries: Sequence[tuple[float, int, str]]) -> str:
     return head + "\n".join(lines) + "\n  </Collection>\n</VTKFile>\n"
 
 
-def curtain_mesh(solution: CurtainSolution, extra: dict[str, Array] | None = None) -> Any:
+def curtain_mesh(solution: CurtainState, extra: dict[str, Array] | None = None) -> Any:
     """The curtain for meshio: displacement, forces of supports, strain, stress, line loads, taut or slack per cell.
 
     Points are those of the reference state, to be warped by `displacement_mm`; `direction_1` is a direction in the
@@ -184,8 +184,8 @@ def curtain_mesh(solution: CurtainSolution, extra: dict[str, Array] | None = Non
         "displacement_mm": padded(solution.corners) - padded(mesh.p.T),
         "support_force_N": padded(corner_forces(problem, solution.reactions)),
     }
-    if len(problem.walls):
-        point_data["obstacle_force_N"] = padded(corner_forces(problem, solution.pushes))
+    if solution.obstacles:
+        point_data["obstacle_force_N"] = padded(corner_forces(problem, solution.pushed.sum(axis=0)))
     cells = [("triangle", counterclockwise(mesh.p.T, mesh.t.T))]
     each = {name: [np.asarray(values, dtype=float)] for name, values in data.items()}
     return meshio.Mesh(padded(mesh.p.T), cells, point_data, each)

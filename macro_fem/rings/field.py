@@ -18,7 +18,7 @@ from rve import Cell
 from rve.common import Array, Index, checked, csv_text, digits, job, versions, write_text
 from rve.common.drawing.space import THREE_QUARTERS, add, add_length, below, lines, look, new_plotter
 from rve.common.optional import Axes, Plotter
-from rve.placed import NEAR, POSE_MEANINGS, CellForces, DrawnRings, Fit, NearestPoses
+from rve.placed import NEAR, POSE_MEANINGS, CellForces, DrawnRings, Fit, NearestPoses, write_solids
 
 RECORD = "localize.json"
 """The file that stands for the job; it lists the others by their checksums."""
@@ -161,24 +161,24 @@ class RingField:
         picture: bool = True,
         tubes: bool = False,
         html: bool = False,
-        stl: bool = False,
+        solids: str = "",
         inputs: Iterable[str | Path | None] = (),
     ) -> dict[str, Any]:
         """Write rings.vtu, worst_cell.csv, localize.json and rings.png into `folder`; the summary.
 
-        `tubes`: write tori instead of centre lines; `stl`: rings.stl, the surfaces of the rings, for CAD and printing;
-        `html`: rings.html, which turns in a browser; rings.png: all rings beside those around the cell with the largest
-        line load. All but pictures appear together, and what they replace is gone (`rve.common.files`). InputError
-        where they cannot be written or would overwrite one of `inputs`, or if what a picture needs is missing;
-        NotDrawn, when all else is in place, for pictures that fail.
+        `tubes`: write tori instead of centre lines; `solids`: "3mf", "glb" or "stl", writes rings.3mf and so on, for
+        printers, CAD and browsers; `html`: rings.html, which turns in a browser; rings.png: all rings beside those
+        around the cell with the largest line load. All but pictures appear together, and what they replace is gone
+        (`rve.common.files`). InputError where they cannot be written or would overwrite one of `inputs`, or if what a
+        picture needs is missing; NotDrawn, when all else is in place, for pictures that fail.
         """
         Pictures(picture, html=html, stem="rings").check(in_space=True)
         inputs = list(inputs)
         with job(folder, RECORD, self.summary, inputs) as staged:
             self.drawn.write_vtu(staged / "rings.vtu", self.data, tubes=tubes)
             write_text(staged / "worst_cell.csv", self.worst.table())
-            if stl:
-                self.drawn.write_stl(staged / "rings.stl")
+            if solids:
+                write_solids(staged / f"rings.{solids}", self.drawn)
         drawings: Drawings = {"rings.html": self.write_html} if html else {}
         draw_all(folder, RECORD, self.summary, drawings | ({"rings.png": self._draw} if picture else {}), inputs)
         return self.summary

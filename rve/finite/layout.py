@@ -122,7 +122,7 @@ class RingLayout:
     def gyration_mm(self) -> Array:
         """Radii of gyration (n, 1) of the rings about a diameter in mm."""
         radii, wires = self.sizes
-        return gyration_radius(self.cell.r1 * radii, self.cell.r2 * wires)[:, None]
+        return np.asarray(gyration_radius(self.cell.r1 * radii, self.cell.r2 * wires))[:, None]
 
     def slack(self) -> tuple[Array, Array]:
         """Centres (n, 3) in mm and unit normals (n, 3) of the slack weave of largest clearance."""

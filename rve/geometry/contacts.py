@@ -46,7 +46,7 @@ class CellContacts(Rows):
     @property
     def min_gap(self) -> Array:
         """Smallest gap of each case, (n,)."""
-        return self.gap.reshape(len(self.gap), -1).min(axis=1)
+        return np.asarray(self.gap.reshape(len(self.gap), -1).min(axis=1))
 
 
 def find_contacts(pose: Pose, weave: Pattern, wire: float, reach: float) -> CellContacts:
@@ -135,6 +135,22 @@ def distance_gradient(m: Minima) -> Array:
     return np.concatenate([m.normal, -cross(m.rho_a, m.normal), cross(m.rho_b, m.normal)], axis=1)
 
 
+def slip_gradient(m: Minima, n_a: Array, r_a: float | Array, r_b: float | Array) -> Array:
+    """Slip of ring b on ring a at a contact with respect to (d, theta_a, theta_b), (m, 2, 9): along the wire of ring a,
+    n_a x rho_a, and around it; n_a (m, 3): normals of rings a; r_a, r_b: radii of the wires in r1.
+
+    With t normal to u and the points p_a = rho_a + r_a u, p_b = rho_b - r_b u of the two skins:
+    slip = t . dd - (p_a x t) . dtheta_a + (p_b x t) . dtheta_b. Units 1 and r1 (per radian).
+    """
+    u = m.normal
+    along = cross(n_a, m.rho_a)
+    along -= dot(along, u)[:, None] * u  # of a minimum it is normal to u already, to round-off
+    along /= norm(along)[:, None]
+    t = np.stack([along, cross(u, along)], axis=1)
+    p_a, p_b = m.rho_a + np.reshape(r_a, (-1, 1)) * u, m.rho_b - np.reshape(r_b, (-1, 1)) * u
+    return np.concatenate([t, -cross(p_a[:, None], t), cross(p_b[:, None], t)], axis=2)
+
+
 def distance_hessian(m: Minima, n_a: Array, n_b: Array, fixed: Flags | None = None) -> Array:
     """Second derivative of the distance with respect to (d, theta_a, theta_b), (m, 9, 9), exponential coordinates.
 
@@ -167,4 +183,4 @@ def distance_hessian(m: Minima, n_a: Array, n_b: Array, fixed: Flags | None = No
     if fixed is not None:
         inverse[fixed] = 0.0
         inverse[fixed, 1, 1] = 1.0 / np.maximum(bb[fixed], 1e-10 * b2[fixed] / dist[fixed])
-    return D_qq - np.matmul(np.matmul(D_qp, inverse), D_qp.transpose(0, 2, 1))
+    return np.asarray(D_qq - np.matmul(np.matmul(D_qp, inverse), D_qp.transpose(0, 2, 1)))

@@ -111,7 +111,7 @@ def are_linked(d: Array, n_a: Array, n_b: Array, radii: Radii = EQUAL) -> Flags:
     foot = d + x[:, None] * e
     first = dot(foot + y * f, foot + y * f) < a * a
     second = dot(foot - y * f, foot - y * f) < a * a
-    return crosses & (first != second)
+    return np.asarray(crosses & (first != second))
 
 
 Circles = tuple[Array, Array, Array, Array, Array]

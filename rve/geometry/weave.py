@@ -18,6 +18,7 @@ from msgspec import Meta
 
 from rve.common import AnyPath, Array, InputError, Typed, read_as, shown
 from rve.common.cell_fields import Length
+from rve.common.ring_sizes import DEFAULT_RING
 from rve.common.texts import read_toml
 from rve.common.typed import not_one_of, read_typed
 from rve.geometry.pattern import Pattern
@@ -360,10 +361,10 @@ def _mirrored(weave: Weave) -> Weave | None:
     return None
 
 
-def sizes_of(name: str) -> tuple[float, float]:
-    """Radii r1, r2 in mm of the first ring in a TOML file; of the weaves of the catalogue, 5 and 0.5 mm."""
-    drawing = read_drawing(name) if name not in WEAVES else None
-    return (5.0, 0.5) if drawing is None else (drawing.ring[0].r1, drawing.ring[0].r2)
+def sizes_of(name: str) -> dict[str, float]:
+    """r1 and r2 in mm of the first ring in a TOML file, by their names; by default those of `DEFAULT_RING`."""
+    ring = None if name in WEAVES else read_drawing(name).ring[0]
+    return DEFAULT_RING if ring is None else {"r1": ring.r1, "r2": ring.r2}
 
 
 def named_weave(name: str) -> Weave:

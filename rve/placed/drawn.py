@@ -80,14 +80,6 @@ class DrawnRings:
         blocks = [("quad" if tubes else "line", cells.reshape(-1, cells.shape[2]).astype(np.int32))]
         write_mesh_file(path, meshio.Mesh(points.astype(real), blocks, cell_data=each))
 
-    def write_stl(self, path: Path, along: int = 48, around: int = 16) -> None:
-        """A binary STL of the tori, closed surfaces of triangles whose normals point outwards, by meshio."""
-        import meshio
-
-        points, quads = self.tubes(along, around)
-        triangles = quads[..., [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-        meshio.write(path, meshio.Mesh(points, [("triangle", triangles)]), file_format="stl", binary=True)
-
     def plot(self, ax: Axes | None = None, *, width: float = 0.7, series: Sequence[DrawnRings] = ()) -> Axes:
         """Centre lines of the rings seen along z, on `ax` or axes of their own; series: as of `draw`."""
         ax = new_axes(7.0, 6.0) if ax is None else ax

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+import trimesh
 from click.testing import CliRunner
 
 import macro_fem
@@ -174,7 +175,8 @@ def test_a_search_ends_at_the_value_wherever_it_lies_in_its_range(name, sign):
         tried.update({v: -math.log(factor(v**sign)) if factor(v**sign) else math.inf for v in values})
         return tried
 
-    span = Range(*sorted((0.1**sign, 1e4**sign)), sign=sign)
+    low, high = sorted((0.1**sign, 1e4**sign))
+    span = Range(low, high, sign=sign)
     good, bad = search(use, span, span.first_round())
     assert min(good, bad) <= crossing**sign * (1 + 1e-12)
     assert max(good, bad) >= crossing**sign * (1 - 1e-12)
@@ -334,12 +336,17 @@ def test_rings_as_stl_are_closed_and_have_the_volume_of_their_wire(tmp_path):
     import meshio
 
     rings = solve(Scene(Rectangle(60.0, 50.0), [Corners()], mesh=Mesh(cells=3))).rings()
-    rings.save(tmp_path, picture=False, stl=True)
+    rings.save(tmp_path, picture=False, solids="stl")
     read = meshio.read(tmp_path / "rings.stl")
     a, b, c = np.moveaxis(read.points[read.cells_dict["triangle"]].astype(float), 1, 0)
     volume = np.einsum("ij,ij->", a - a.mean(axis=0), np.cross(b - a.mean(axis=0), c - a.mean(axis=0))) / 6.0
     # The centre line is a polygon of 48 sides and the section one of 16: 2.9 % less than a torus.
     parts = (48 / math.pi * math.sin(math.pi / 48) * math.cos(math.pi / 48)) * (8 / math.pi * math.sin(math.pi / 8))
+    rings.save(tmp_path, picture=False, solids="glb")
+    again = trimesh.load_scene(tmp_path / "rings.glb")
+    assert len(again.graph.nodes_geometry) == len(rings)
+    assert 1e9 * again.to_mesh().volume == pytest.approx(volume, rel=1e-4)
+    assert not (tmp_path / "rings.stl").exists()
     assert volume == pytest.approx(len(rings) * 2.0 * math.pi**2 * 5.0 * 0.5**2 * parts, rel=5e-3)
 
 

@@ -89,7 +89,7 @@ def test_names_are_printed_as_they_are_typed(tmp_path):
     solved = macro_fem.solve(macro_fem.load_scene(tmp_path / "space.toml"))
     figure = compose(views(solved.steps)[0](new_plotter()), NAMES[0])
     figure.canvas.draw()
-    words = [*figure.legends[0].get_texts(), figure._suptitle]
+    words = [*figure.legends[0].get_texts(), figure._suptitle]  # type: ignore[attr-defined]
     assert {text.get_text() for text in words} >= {*NAMES}
     assert not any(text.get_parse_math() for text in words)
     solved.write_html(tmp_path / "space.html")
@@ -103,9 +103,9 @@ MOVE = "[motion]\nduration = 0.02\nstep = 0.01\n"
 DRAWN = {
     "run": ("", "macro_fem.output.pictures.panels", "curtain.png", ("summary.json", "curtain.vtu", "curtain.html")),
     "run --report": ("", "macro_fem.report.plot_line_loads", "report.pdf", ("summary.json", "curtain.vtu")),
-    "run moving": (MOVE, "macro_fem.motion.files.save_panels", "motion.png", ("motion.csv", "motion_0002.vtu")),
+    "run moving": (MOVE, "macro_fem.motion.solution.save_panels", "motion.png", ("motion.csv", "motion_0002.vtu")),
     "rings": ("", "macro_fem.rings.every_ring.new_axes", "rings.png", ("rings.vtu", "rings.html")),
-    "modes": ("", "macro_fem.motion.modes.save_picture", "modes.png", ("modes.json", "modes.vtu")),
+    "modes": ("", "macro_fem.modes.save_picture", "modes.png", ("modes.json", "modes.vtu")),
 }
 
 

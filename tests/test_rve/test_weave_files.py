@@ -35,6 +35,12 @@ def written(weave, *, turn=17.0, shift=(3.0, -2.0, 0.0), size=1.7, disturb=0.05,
     return lattice, rings
 
 
+def woven(text, name="mine"):
+    """The weave of a lattice and rings."""
+    lattice, rings = text
+    return Weave.from_rings(lattice, rings, name=name)
+
+
 def as_text(lattice, rings, name="mine"):
     """The TOML text of a weave."""
     lines = [f'name = "{name}"', f"lattice = {np.array(lattice).tolist()}"]
@@ -45,7 +51,7 @@ def as_text(lattice, rings, name="mine"):
 
 @pytest.mark.parametrize(("name", "cells"), [("4-in-1", (1, 1)), ("6-in-1", (1, 1)), ("4-in-1", (1, 2))])
 def test_a_weave_written_anew_has_the_table_of_the_catalogue(name, cells):
-    weave = Weave.from_rings(*written(WEAVES[name], cells=cells), name="mine")
+    weave = woven(written(WEAVES[name], cells=cells))
     assert weave.jamming_ratio == pytest.approx(WEAVES[name].jamming_ratio, rel=1e-6)
     assert weave.is_mirrored == WEAVES[name].is_mirrored
     one, other = (solve_table(Cell(5.0, 0.6, of), LOADS, QUICK) for of in (weave, WEAVES[name]))
@@ -57,7 +63,7 @@ def test_a_weave_written_anew_has_the_table_of_the_catalogue(name, cells):
 def test_it_has_so_where_the_catalogue_does_not_help(name, cells, monkeypatch):
     """The pose is found, not looked up: from other pairs and another start the locked states are the same."""
     monkeypatch.setattr("rve.geometry.weave.WEAVES", {})
-    weave = Weave.from_rings(*written(WEAVES[name], cells=cells, seed=1), name="sought")
+    weave = woven(written(WEAVES[name], cells=cells, seed=1), "sought")
     assert weave.classes == 2
     assert len(weave.pairs) > len(WEAVES[name].pairs)
     monkeypatch.undo()
@@ -113,7 +119,7 @@ def test_distances_of_circles_of_two_sizes_are_those_of_their_points():
 
 
 def test_the_file_of_a_law_knows_a_weave_of_ones_own():
-    weave = Weave.from_rings(*written(JAPANESE, disturb=0.0), name="mine")
+    weave = woven(written(JAPANESE, disturb=0.0))
     info = CellInfo.of(Cell(6.0, 0.6, weave), (15.6, 15.6))
     record = json.loads(json.dumps(asdict(info)))
     again = read_cell_info(record, "law.json: cell")
