@@ -105,8 +105,8 @@ class Piece:
         """Its numbers, with units in their names."""
         count = len(self.rings.centre)
         numbers = {"rings": count, "links": self.links, "clearance_mm": self.clearance_mm, "size_mm": self.size_mm}
-        volumes = np.broadcast_to(ring_volume(self.rings.r1, self.rings.r2), count)
-        mass = {"mass_kg": self.cell.density * float(volumes.sum())}
+        relative = float((np.asarray(self.rings.r1) * np.asarray(self.rings.r2) ** 2).sum())
+        mass = {"mass_kg": self.cell.ring_mass * relative / (self.cell.r1 * self.cell.r2**2)}
         return {"weave": self.cell.weave.name, **ring_sizes(self.cell.r1, self.cell.r2), **numbers, **mass}
 
     def __str__(self) -> str:

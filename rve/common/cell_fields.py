@@ -67,7 +67,7 @@ def check_rings(table: Mapping[str, Any], where: object) -> dict[str, float]:
     return values
 
 
-def ring_volume(r1_mm: Any, r2_mm: Any) -> Any:
+def ring_volume(r1_mm: float, r2_mm: float) -> float:
     """Volume of one ring, a torus, in mm3."""
     return 2.0 * math.pi**2 * r1_mm * r2_mm**2
 
