@@ -155,6 +155,7 @@ def test_every_public_record_is_copied_pickled_and_replaced_as_it_is(nouns):
     by_kind = {type(noun): noun for noun in nouns}
     names = [getattr(package, name) for package in (rve, homogenize, macro_fem) for name in package.__all__]
     public = {kind for kind in names if isinstance(kind, type) and dataclasses.is_dataclass(kind)}
+    public -= {homogenize.Law, macro_fem.Load, macro_fem.Support}  # bases, of which there are no records
     assert public <= by_kind.keys()
     for kind in public:
         noun = by_kind[kind]
@@ -200,13 +201,13 @@ REFUSED = [
     (lambda: rve.DirectOptions(tolerance="small"), "tolerance = 'small': expected a number, got a text"),
     (
         lambda: homogenize.fit("table.csv"),
-        "table = 'table.csv': expected StrainTable, got a text; read_table reads a file",
+        "table = 'table.csv': expected StrainTable or DataFrame, got a text; read_table reads a file",
     ),
     (lambda: rve.FiniteMesh.rectangle(None, 1, 1), "rectangle: cell = None: expected Cell"),
     (lambda: rve.FiniteMesh.inside(rve.Cell(), "square"), "outline = 'square': expected a list"),
     (lambda: PIECE.solve(PIECE.X, PIECE.X > 9, PIECE.X, options={"starts": 3}), "options = {'starts': 3}: expected"),
     (lambda: cell_of_sides(5.0, 0.5, 11.0), "sides = 11.0: expected a list of 2"),
-    (lambda: homogenize.fit([1]), "expected StrainTable, got a list"),
+    (lambda: homogenize.fit([1]), "expected StrainTable or DataFrame, got a list"),
     (lambda: homogenize.fit_table(None), "path = None: expected a text or a path"),
     (lambda: homogenize.FitOptions(kind="Net"), "did you mean net?"),
     (lambda: homogenize.load_law(5), "a file is read by its path, not from 5"),

@@ -48,6 +48,7 @@ COMMANDS = {
     "macro_fem modes": ("scene.toml", "--number", "2", "--out", "modes", "--no-picture"),
     "macro_fem size": ("scene.toml", "--vary", "mass", "--from", "0.5", "--to", "1", "--factor", "1e-3"),
     "macro_fem sweep": ("scene.toml", "--out", "curtains", "--no-picture"),
+    "macro_fem compare-designs": ("scene.toml", "--law", "law.json", "--out", "designs", "--no-picture"),
     "macro_fem rings": ("scene.toml", "--out", "rings", "--no-picture"),
     "macro_fem compare": ("scene.toml", "--out", "both.json"),
 }
@@ -60,7 +61,9 @@ ANSWERS |= {f"homogenize {name}" for name in ("strain", "support", "strength")}
 
 def each():
     """The commands, those that take longest among the slow tests."""
-    slow = {f"macro_fem {name}" for name in ("localize", "rings", "compare", "size", "modes", "sweep")}
+    slow = {
+        f"macro_fem {name}" for name in ("localize", "rings", "compare", "compare-designs", "size", "modes", "sweep")
+    }
     slow |= {"homogenize plot", "rve sweep"}
     return [pytest.param(name, marks=pytest.mark.slow if name in slow else ()) for name in COMMANDS]
 
@@ -149,7 +152,7 @@ def test_a_search_tells_a_pipe_value_factor_and_how_much_is_left(there, monkeypa
     monkeypatch.setattr(GROUPS["macro_fem"].commands["size"], "period_s", 0.0)  # else every 10 s
     words = "macro_fem", "size", *COMMANDS["macro_fem size"]
     lines = run(*words).stderr.splitlines()
-    told = r"mass = 1 kg, about \d+ answers left, [\d.]+ s each; 0\.7071 kg: factor [\d.]+"
+    told = r"mass = 1 kg, about \d+ answers left; 0\.7071 kg: factor [\d.]+; [\d.]+ s used, about [\d.]+ s left"
     assert lines[0].startswith("mass = 0.5 kg, the first of about 8 answers")
     assert any(re.match(told, line) for line in lines), lines
     assert run(*words, "--quiet").stderr == ""

@@ -11,7 +11,7 @@ from macro_fem.curtain import CurtainProblem, CurtainSolution, CurtainState, for
 from macro_fem.fem.cells import counterclockwise, padded
 from macro_fem.judged import judge_line_loads, judge_strength, links, support_forces, utilisation
 from macro_fem.scene.loads import PER_MM2, areal_mass
-from macro_fem.scene.tables import Bar, LiveLoad
+from macro_fem.scene.tables import Bar, Load
 from macro_fem.summary import Bounds, BoundsOfPotential, CurtainNumbers, Feature, RingSizes, WeaveOfLaw
 from rve.common import Array, versions
 from rve.common.factor import linear_solver
@@ -90,7 +90,7 @@ def is_mean_height(problem: CurtainProblem) -> bool:
     """Whether the potential tells the mean height: the curtain's own weight is the only load."""
     x, y, z = problem.scene.load.acceleration
     is_down = x == z == 0.0 and y < 0.0
-    return is_down and not problem.scene.of(LiveLoad) and bool(np.abs(problem.force).sum() > 0.0)
+    return is_down and not problem.scene.of(Load) and bool(np.abs(problem.force).sum() > 0.0)
 
 
 def bounds_summary(bounds: CurtainBounds) -> BoundsOfPotential:

@@ -94,7 +94,7 @@ def run_localize(
     """`localize` and `RingField.save` into `out`, `files` as there; the summary. What the picture needs and what `out`
     would overwrite is checked before anything is solved."""
     inputs = [curtain_file(path)]
-    Pictures(files["picture"], html=files["html"], stem="rings").check(in_space=True)
+    Pictures(files["picture"] or files["render"], html=files["html"], stem="rings").check(in_space=True)
     check_out_job(out, RECORD, inputs)
     return localize(path, window, max_rings).save(out, inputs=inputs, **files)
 

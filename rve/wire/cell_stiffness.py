@@ -5,6 +5,7 @@ Lengths are in r1, forces in s r1, and Young's modulus is 1: compliances are to 
 `with_rings` makes columns of a table of them, in mm and N.
 """
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -197,8 +198,9 @@ def ring_states(
     states = RingStates(np.zeros(equilibrium.lam.shape), tensor, tensor, nan, nan, nan)
     wires = equations.wire * space.wires
     rings = [Ring(r1, r2, 1.0, poisson) for r1, r2 in zip(space.radii.tolist(), wires.tolist(), strict=True)]
+    begun = time.monotonic()
     for start in range(0, len(good), _BLOCK):
-        tell(f"wires of the rings under load {start + 1} of {len(good)}")
+        tell(f"wires of the rings under load {start + 1} of {len(good)}", start, len(good), begun)
         rows = good[start : start + _BLOCK]
         states = states.put(
             rows, _Cells(equations, equilibrium.take(rows), s[rows], reference, rings).states(angles_deg)
