@@ -60,7 +60,7 @@ _goes_on = click.option(
     "--cell", metavar="R1,R2", help="Ask these rings for the law, radii in mm or inner=8,wire=1.6, where it is needed."
 )
 @renamed("--rings", "--cell R1,R2")
-@click.option("--weave", type=click.Choice(["4-in-1", "6-in-1"]), help="With --cell: weave.  [default: 4-in-1]")
+@click.option("--weave", help="With --cell: weave, by name or as a TOML file.  [default: 4-in-1]")
 @click.option(
     "--grain", type=click.Choice(["y", "x"]), help="With --cell: axis along which rings interlace.  [default: y]"
 )

@@ -152,12 +152,13 @@ class RingStrength(Utilisation):
 
 @dataclass(frozen=True, kw_only=True)
 class RingSizes(Table):
-    """Rings of a law, and sides of their reference cell."""
+    """Rings of a law, sides of their reference cell, and the rings of a weave that is not in the catalogue."""
 
     r1_mm: float
     r2_mm: float
     b_x_mm: float
     b_y_mm: float
+    drawing: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

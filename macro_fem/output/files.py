@@ -1,7 +1,7 @@
 """What summary.json says of a solved curtain, with bounds and interval, and curtain.vtu."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -79,7 +79,9 @@ def weave_of(cell: CellInfo | None, hang_deg: float) -> WeaveOfLaw:
     """Radii, weave and reference cell of a law, without areal mass and material, which a scene may replace."""
     if cell is None:
         return WeaveOfLaw(hang_deg=hang_deg, rings=None, weave=None, grain=None, reference_cell=None)
-    sizes = RingSizes(r1_mm=cell.r1_mm, r2_mm=cell.r2_mm, b_x_mm=cell.b_x_mm, b_y_mm=cell.b_y_mm)
+    drawing = None if cell.drawing is None else asdict(cell.drawing)
+    sides = {"b_x_mm": cell.b_x_mm, "b_y_mm": cell.b_y_mm}
+    sizes = RingSizes(r1_mm=cell.r1_mm, r2_mm=cell.r2_mm, **sides, drawing=drawing)
     named = {"weave": cell.weave, "grain": cell.grain, "reference_cell": cell.reference}
     return WeaveOfLaw(hang_deg=hang_deg, rings=sizes, **named)
 
