@@ -10,7 +10,15 @@ import numpy as np
 from macro_fem.curtain import CurtainSolution
 from macro_fem.judged import first_of_largest, links, spot_loads
 from macro_fem.output.pictures import plot_line_loads, plot_utilisation
-from macro_fem.output.told import combination_lines, components, lean_note, loads_in_words, order_lines, verdict
+from macro_fem.output.told import (
+    combination_lines,
+    components,
+    lean_note,
+    limit_line,
+    loads_in_words,
+    order_lines,
+    verdict,
+)
 from macro_fem.summary import CurtainSummary, SupportForce
 from rve.common import atomic_path, checksum, digits
 from rve.common.drawing.plane import BLUE, VERMILION, as_typed, new_figure
@@ -122,6 +130,7 @@ def _sections(summary: CurtainSummary, inputs: Iterable[Path]) -> Iterable[tuple
     if is_combined:
         yield "Load combinations", combination_lines(summary), False
     of = " without partial factors" * is_combined
+    factors += filter(None, [limit_line(summary)])
     yield f"What gives first{of}", factors or ["nothing whose strength is known is loaded"], False
     own = ROW.format("support", "x y in sheet, mm", "x y (z) hung, mm", "force, N", "its x y (z), N")
     tables = [(f"Forces of supports{of}", own, _forces(summary.support_forces))]
