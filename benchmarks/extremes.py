@@ -93,7 +93,7 @@ def ladders() -> Iterator[tuple[str, dict[str, float]]]:
 
 def motion_row(name: str, changes: dict[str, float], steps: int) -> Row:
     """Six loads in the paper's scheme with these options changed."""
-    options = replace(StewartTrinkleOptions(), max_steps=steps, **changes)  # type: ignore[arg-type]
+    options = replace(StewartTrinkleOptions(), max_steps=steps, **changes)
     s = cauchy_line_load(*UNIQUE[:6].T)
     found = simulate(s, Equations.of(FOUR_IN_ONE, WIRE), options, history=True)
     assert found.history is not None
@@ -164,7 +164,7 @@ def curtain_rows() -> list[Row]:
     law = default_law()
     rows = [curtain_row(*one, law, kind) for kind in ("rigid", "elastic") for one in curtain_tables().items()]
     for size in 10.0 ** np.arange(10):
-        stiff = replace(law, stiffness=size * np.eye(3), strength=None)  # type: ignore[type-var]
+        stiff = replace(law, stiffness=size * np.eye(3), strength=None)
         rows.append(curtain_row(f"rings of {size:.0e} N/mm", {}, stiff, "elastic"))
     return rows
 

@@ -141,7 +141,7 @@ def tensile_part(S: Array) -> Array:
     low, high = eigenvalues(S)
     top, bottom = np.maximum(high, 0.0), np.maximum(low, 0.0)
     share = (top - bottom) / np.where(high > low, high - low, 1.0)
-    return share[:, None] * S + (bottom - share * low)[:, None] * IDENTITY
+    return np.asarray(share[:, None] * S + (bottom - share * low)[:, None] * IDENTITY)
 
 
 def hull_of(S: Array, is_mirrored: bool) -> Array:

@@ -14,6 +14,7 @@ import numpy as np
 
 from homogenize import laws
 from homogenize.laws.net import STATED_STIFFNESS
+from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.report import ErrorReport
 from homogenize.laws.rows import read_rows
 from homogenize.laws.stored import SCHEMA, UNITS, StoredLaw
@@ -63,9 +64,11 @@ def law_kinds() -> dict[str, type[StoredLaw]]:
     return StoredLaw.kinds
 
 
-def default_law() -> StoredLaw:
+def default_law() -> PolyhedralLaw:
     """The law for r1/r2 = 10 that ships inside the package, made from the 190 rows of the paper's grid."""
-    return load_law(DEFAULT_LAW)
+    law = load_law(DEFAULT_LAW)
+    assert isinstance(law, PolyhedralLaw)
+    return law
 
 
 def load_law(path: str | Path) -> StoredLaw:

@@ -115,7 +115,7 @@ class StrainTable(ByValue):
     @property
     def converged(self) -> NDArray[np.bool_]:
         """Rows to rely on, (n,)."""
-        return self.status == "converged"
+        return np.asarray(self.status == "converged")
 
     @property
     def is_mirrored(self) -> bool:

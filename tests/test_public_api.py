@@ -113,8 +113,8 @@ def nouns(table, answer, tmp_path_factory):
     """Every public record, after it was used."""
     out = tmp_path_factory.mktemp("nouns")
     answer.save(out, picture=False)
-    cell, law, E = rve.Cell(), homogenize.elastic_law(homogenize.default_law()), np.array([[0.1, 0.0, 0.1]])
-    law.strength.utilisation(E)
+    cell, law, E = rve.Cell(), homogenize.default_law().elastic(), np.array([[0.1, 0.0, 0.1]])
+    vars(law)["strength"].utilisation(E)
     scene = macro_fem.Scene(macro_fem.Rectangle(66, 63), [macro_fem.Hooks(pitch=66)], macro_fem.Mesh(4))
     every = macro_fem.solve(scene, macro_fem.EveryRing(cell))
     still, n = slack_rings(every.found.mesh), len(every.found.centre)

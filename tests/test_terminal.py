@@ -176,4 +176,5 @@ def test_choices_are_those_of_the_packages():
     assert tuple(WEAVES) == WEAVE_NAMES
     assert set(get_args(types_of(FitOptions)["kind"])) == set(KINDS)
     weave = next(one for one in GROUPS["macro_fem"].commands["run"].params if one.name == "weave")
+    assert isinstance(weave.type, click.Choice)
     assert tuple(weave.type.choices) == tuple(WEAVES)

@@ -9,7 +9,8 @@ from benchmarks.every_ring.brute import frames
 from benchmarks.every_ring.cases import AREAL_MASS, Array
 from benchmarks.frame import Section, table
 from benchmarks.measure import Row
-from homogenize import MembraneLaw, default_law, fit
+from homogenize import default_law, fit
+from homogenize.laws import PolyhedralLaw
 from macro_fem import read_scene, solve
 from macro_fem.rings import ring_scene
 from rve import Cell, solve_table, with_rings
@@ -38,7 +39,7 @@ ALL, BESIDE, HOOK = "largest, rings / disk", "beside the held ring / mesh", "hel
 
 
 @cache
-def law_of(weave: str) -> MembraneLaw:
+def law_of(weave: str) -> PolyhedralLaw:
     """The law of r1/r2 = 10 with the strength of its rings; of 6-in-1 from a grid of 10 degrees."""
     if weave == "4-in-1":
         return default_law()

@@ -178,7 +178,7 @@ def on_arcs(nodes: Nodes, step_deg: float) -> tuple[Array, Array]:
 
     def along(node: Index) -> Array:
         x = nodes.x[node]
-        return 0.5 * step[arc, None] * np.stack([-x[:, 1], x[:, 0], x[:, 1]], axis=1)
+        return np.asarray(0.5 * step[arc, None] * np.stack([-x[:, 1], x[:, 0], x[:, 1]], axis=1))
 
     h = hermite(part, nodes.h[i], nodes.h[j], nodes.slope(i, along(i), last=False), nodes.slope(j, along(j), last=True))
     theta = angle[arc] + part * step[arc]

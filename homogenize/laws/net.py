@@ -62,7 +62,7 @@ class NetLaw(StoredLaw, kind="net"):
     def compliance(self) -> Array:
         """Strain per line load (3, 3), in the metric in which the two fibres do not interact, mm/N."""
         lift = self._lift()
-        return lift.T @ (lift * WEIGHT) / self.stiffness
+        return np.asarray(lift.T @ (lift * WEIGHT) / self.stiffness)
 
     def collapsed(self) -> Array:
         """The two fully drawn states C = I + 2E, both families in one line: triples (2, 3), each of rank one."""

@@ -80,7 +80,7 @@ class _Evaluation(Rows):
     @property
     def size(self) -> Array:
         """What is left of r, and how far E is from a strain that a cell can have, (n,)."""
-        return np.maximum(np.abs(self.r).max(axis=1), np.abs(self.E - _possible(self.E)).max(axis=1))
+        return np.asarray(np.maximum(np.abs(self.r).max(axis=1), np.abs(self.E - _possible(self.E)).max(axis=1)))
 
 
 @checked

@@ -163,7 +163,7 @@ class CurtainSolution(Judged):
         """
         errors = ROUNDING + abs(self.relative_gap) + self.residual
         errors += 0.0 if self.settling is None else self.settling.misfit
-        return errors * self._total + 2.0 * self.tension * self.problem.mesh.size
+        return float(errors * self._total + 2.0 * self.tension * self.problem.mesh.size)
 
     def mean_place(self) -> Array:
         """Mean position over the reference area (d,), mm."""

@@ -185,7 +185,7 @@ def _tension_allowance(problem: CurtainProblem, tension: float, F: Array) -> flo
     half = np.array([[0.5, 0.0, 0.5]])
     flowing = float((F**2).sum(axis=(1, 2)).max()) if problem.scene.solver.is_plastic else 0.0
     largest = np.sqrt(2.0 * max(2.0 + 4.0 * float(problem.law.support(half)[0]), flowing))
-    return tension * largest * float(problem.disc.weight.sum())
+    return float(tension * largest * float(problem.disc.weight.sum()))
 
 
 def self_balanced(problem: CurtainProblem, x: Array) -> int:

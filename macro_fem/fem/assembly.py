@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from macro_fem.fem.discretization import Discretization, Index
-from rve.common import Array
+from macro_fem.fem.discretization import Discretization
+from rve.common import Array, Index
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,16 +49,16 @@ class Discretization:
 
     @property
     def n_nodes(self) -> int:
-        return self.nodes.shape[0]
+        return int(self.nodes.shape[0])
 
     @property
     def n_cells(self) -> int:
-        return self.cell_dofs.shape[0]
+        return int(self.cell_dofs.shape[0])
 
     @property
     def n_quad(self) -> int:
         """Quadrature points in a cell."""
-        return self.shape_values.shape[0]
+        return int(self.shape_values.shape[0])
 
     @property
     def n_points(self) -> int:
@@ -70,7 +70,7 @@ class Discretization:
         """The gradients of the shape functions at each point, (n_points, n_local, 2), 1/mm."""
         inverse = np.broadcast_to(self.inverse_jacobian, (2, 2, self.n_quad, self.n_cells))
         g = np.einsum("qJa,Jjqc->qcaj", self.shape_gradients, inverse)
-        return g.reshape(self.n_points, -1, 2)
+        return np.asarray(g.reshape(self.n_points, -1, 2))
 
     @cached_property
     def points(self) -> Array:
@@ -131,7 +131,7 @@ class Discretization:
         w = self.weight.reshape(self.n_quad, self.n_cells)
         stacked = values.reshape(self.n_quad, self.n_cells, -1)
         mean = np.einsum("qc,qcx->cx", w / self.cell_area, stacked)
-        return mean.reshape((self.n_cells, *values.shape[1:]))
+        return np.asarray(mean.reshape((self.n_cells, *values.shape[1:])))
 
 
 def reference_shapes(element: Any, X: Array, n_local: int) -> tuple[Array, Array]:

@@ -55,7 +55,7 @@ class SupportedFem:
     @property
     def d(self) -> int:
         """Components of a position."""
-        return self.x_held.shape[1]
+        return int(self.x_held.shape[1])
 
     @property
     def n(self) -> int:
@@ -96,18 +96,18 @@ class SupportedFem:
 
     def gather(self, nodal: Array) -> Array:
         """T^T f (n,) of nodal forces f (n_nodes, d)."""
-        return self.T.T @ nodal.ravel()
+        return np.asarray(self.T.T @ nodal.ravel())
 
     def unknowns(self, x: Array) -> Array:
         """The z whose positions are nearest to x (n_nodes, d)."""
         change = (x - self.x_held).ravel()
         if self.tie is None:
-            return change[self.free]
-        return sparse.linalg.spsolve((self.tie.T @ self.tie).tocsc(), self.tie.T @ change)
+            return np.asarray(change[self.free])
+        return np.asarray(sparse.linalg.spsolve((self.tie.T @ self.tie).tocsc(), self.tie.T @ change))
 
     def spread(self, dz: Array) -> Array:
         """T dz as nodal vectors (n_nodes, d)."""
-        return (self.T @ dz).reshape(self.x_held.shape)
+        return np.asarray((self.T @ dz).reshape(self.x_held.shape))
 
     def factorize(self, tangent: Array, added: sparse.csc_matrix | None = None) -> Callable[[Array], Array]:
         """A solver of B^T (w A) B x = b for tangents A (nq, d, 2, d, 2), its matrix and `added` (n, n), such as that of

@@ -129,12 +129,12 @@ class Nearby:
         """Longest part in mm of the line from x (2,) along m (2,) that lies in one of the averages centred on it."""
         steps = STEPS * self._nearest(x)[2]
         radii = [self._nearest(x + t * m)[2] for t in steps]
-        return max(radius + min(t, radius) for t, radius in zip(steps, radii, strict=True))
+        return float(max(radius + min(t, radius) for t, radius in zip(steps, radii, strict=True)))
 
     def _around(self, x: Array, radius: float) -> np.ndarray:
         """The triangles that may have a point within `radius` of x (2,), in the order of their numbers."""
         cells = np.array(self.tree.query_ball_point(x, radius + self.half.max(), return_sorted=True), dtype=int)
-        return cells[np.linalg.norm(self.middle[cells] - x, axis=1) <= radius + self.half[cells]]
+        return np.asarray(cells[np.linalg.norm(self.middle[cells] - x, axis=1) <= radius + self.half[cells]])
 
     def _nearest(self, x: Array, area: float = 0.0) -> tuple[np.ndarray, Array, float]:
         """Triangles (k,) that the disk around x (2,) meets, the area (k,) of each in it, and its radius."""

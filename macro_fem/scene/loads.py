@@ -132,7 +132,7 @@ def disk_areas(corners: Array, centre: Array, radius: float) -> Array:
     enters, leaves = (a + np.clip(middle + sign * reach, 0.0, 1.0)[..., None] * along for sign in (-1.0, 1.0))
 
     def angle(u: Array, v: Array) -> Array:
-        return np.arctan2(cross(u, v), (u * v).sum(axis=-1))
+        return np.asarray(np.arctan2(cross(u, v), (u * v).sum(axis=-1)))
 
     parts = cross(enters, leaves) + radius**2 * (angle(a, enters) + angle(leaves, b))
     shares = 0.5 * np.abs(parts.sum(axis=1))

@@ -132,7 +132,7 @@ class Program:
     @cached_property
     def w(self) -> Array:
         """Reference area of the point of each cone (nc,), mm2."""
-        return self.fem.disc.weight[self.cones.point]
+        return np.asarray(self.fem.disc.weight[self.cones.point])
 
     @cached_property
     def area(self) -> float:
@@ -149,7 +149,7 @@ class Program:
     @property
     def lead(self) -> int:
         """Components of a cone's tail before F L: 1 for n, 0 in a rigid curtain."""
-        return min(1, self.R.shape[1])
+        return int(min(1, self.R.shape[1]))
 
     def map(self, F: Array, eps: Array, which: np.ndarray | slice = slice(None)) -> Vectors:
         """(n, n, F L) of every cone, or of some: what the unknowns F (nq, d, 2), eps (nq, k) do to it."""
@@ -171,7 +171,7 @@ class Program:
 
     def carried(self, y: Vectors) -> Array:
         """y_0 + y_n (nc,): c times the multiplier lam of each half-space, whose stress is lam S."""
-        return y.head + y.tail[:, : self.lead].sum(axis=1)
+        return np.asarray(y.head + y.tail[:, : self.lead].sum(axis=1))
 
     def locked(self, F: Array, eps: Array) -> Array:
         """E - R eps (nq, 3): the strain that the half-spaces limit; tau beside it where there is one, (nq, 4); see

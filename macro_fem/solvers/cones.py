@@ -69,7 +69,7 @@ class Cones:
 def green_strain(F: Array) -> Array:
     """E = (F^T F - I)/2 as triples (n, 3) for F (n, d, 2)."""
     a, b = F[:, :, 0], F[:, :, 1]
-    return 0.5 * (np.stack([(a * a).sum(1), (a * b).sum(1), (b * b).sum(1)], axis=-1) - IDENTITY)
+    return np.asarray(0.5 * (np.stack([(a * a).sum(1), (a * b).sum(1), (b * b).sum(1)], axis=-1) - IDENTITY))
 
 
 def times_root(F: Array, L: Array, which: np.ndarray | slice = slice(None)) -> Array:

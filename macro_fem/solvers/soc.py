@@ -51,7 +51,7 @@ class Vectors:
 
 def row_dot(a: Array, b: Array) -> Array:
     """Sums over the last axis of products (n,)."""
-    return np.einsum("nm,nm->n", a, b)
+    return np.asarray(np.einsum("nm,nm->n", a, b))
 
 
 def product(a: Vectors, b: Vectors) -> Vectors:

@@ -34,7 +34,7 @@ def eigenvalues(A: Array) -> tuple[Array, Array]:
 
 def mirror(A: Array) -> Array:
     """The weave's mirror image of triples (..., 3): the shear component changes its sign."""
-    return A * np.array([1.0, -1.0, 1.0])
+    return np.asarray(A * np.array([1.0, -1.0, 1.0]))
 
 
 def disc(S: Array) -> Array:

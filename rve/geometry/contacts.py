@@ -46,7 +46,7 @@ class CellContacts(Rows):
     @property
     def min_gap(self) -> Array:
         """Smallest gap of each case, (n,)."""
-        return self.gap.reshape(len(self.gap), -1).min(axis=1)
+        return np.asarray(self.gap.reshape(len(self.gap), -1).min(axis=1))
 
 
 def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float) -> CellContacts:
@@ -159,4 +159,4 @@ def distance_hessian(m: Minima, n_a: Array, n_b: Array, fixed: Flags | None = No
     if fixed is not None:
         inverse[fixed] = 0.0
         inverse[fixed, 1, 1] = 1.0 / np.maximum(bb[fixed], 1e-10 / dist[fixed])
-    return D_qq - np.matmul(np.matmul(D_qp, inverse), D_qp.transpose(0, 2, 1))
+    return np.asarray(D_qq - np.matmul(np.matmul(D_qp, inverse), D_qp.transpose(0, 2, 1)))

@@ -44,7 +44,7 @@ def load_angles(s: Array) -> tuple[Array, Array, Array]:
 def green_lagrange(F: Array) -> Array:
     """Green-Lagrange strain (n, 3) of deformation gradients F (n, 2, 2), eq. (2)."""
     C = np.matmul(F.transpose(0, 2, 1), F)
-    return 0.5 * (_triples(C) - IDENTITY)
+    return np.asarray(0.5 * (_triples(C) - IDENTITY))
 
 
 def _triples(A: Array) -> Array:

@@ -106,7 +106,7 @@ def are_linked(d: Array, n_a: Array, n_b: Array) -> Flags:
     foot = d + x[:, None] * e
     first = dot(foot + y * f, foot + y * f) < 1.0
     second = dot(foot - y * f, foot - y * f) < 1.0
-    return crosses & (first != second)
+    return np.asarray(crosses & (first != second))
 
 
 def _lines(d: Array, n_a: Array, n_b: Array) -> Array:

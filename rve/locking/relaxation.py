@@ -243,7 +243,7 @@ def equal_shares(s: Array, E: Array, mesh: LoadedCell) -> Array | None:
 
 def mixed_load(s: Array, E: Array, shares: Array, mesh: LoadedCell) -> Array:
     """S (3,) of unit trace of the Cauchy load s (3,) on the mixture of the strains E (k, 3) by shares (k,)."""
-    return mesh.conjugate((shares @ E)[None], s[None])[0]
+    return np.asarray(mesh.conjugate((shares @ E)[None], s[None])[0])
 
 
 def is_repeated(E: Array) -> Flags:

@@ -45,7 +45,7 @@ class System(Rows):
 
 def weighted_size(f: Array, M: Array) -> Array:
     """Size (n,) of generalised forces f (n, m) weighed by the mass matrices M (n, m, m), as in eq. (9)."""
-    return np.sqrt(np.maximum(np.einsum("ni,ni->n", f, np.linalg.solve(M, f[..., None])[..., 0]), 0.0))
+    return np.asarray(np.sqrt(np.maximum(np.einsum("ni,ni->n", f, np.linalg.solve(M, f[..., None])[..., 0]), 0.0)))
 
 
 Force = Callable[[Pose, Array, Array], tuple[Array, Array]]
@@ -92,7 +92,7 @@ def mass_matrix(weave: Weave, wire: float) -> Array:
     for ring in weave.rings[:, 0]:
         turns = turns_of(weave, ring)
         M[turns, turns] += gyration_radius(1.0, wire) ** 2 * np.eye(3)
-    return M
+    return np.asarray(M)
 
 
 def mirror_modes(weave: Weave) -> Array:

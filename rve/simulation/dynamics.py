@@ -82,16 +82,16 @@ class Dynamics:
         """Largest speed of a ring's centre (r1/s) or of its rotation (rad/s), (n,)."""
         speed = np.einsum("rxm,nm->nrx", self.ring_maps, v)
         spin = v[:, turns_of(self.weave, 0).start :].reshape(len(v), self.weave.classes, 3)
-        return np.sqrt(np.maximum((speed**2).sum(axis=2).max(axis=1), (spin**2).sum(axis=2).max(axis=1)))
+        return np.asarray(np.sqrt(np.maximum((speed**2).sum(axis=2).max(axis=1), (spin**2).sum(axis=2).max(axis=1))))
 
     def kinetic_energy(self, v: Array) -> Array:
         """Kinetic energy of all rings, (n,)."""
-        return 0.5 * (v * np.matmul(v[:, None, :], self.mass)[:, 0]).sum(axis=1)
+        return np.asarray(0.5 * (v * np.matmul(v[:, None, :], self.mass)[:, 0]).sum(axis=1))
 
     def energy(self, contacts: CellContacts, v: Array) -> Array:
         """Elastic energy of the penetrating contacts, and kinetic energy, (n,)."""
         pressed = np.where(contacts.present, np.minimum(contacts.gap, 0.0), 0.0)
-        return 0.5 * (self.stiffness[:, None] * pressed**2).sum(axis=(1, 2)) + self.kinetic_energy(v)
+        return np.asarray(0.5 * (self.stiffness[:, None] * pressed**2).sum(axis=(1, 2)) + self.kinetic_energy(v))
 
     def weighted_load(self, v_new: Array, v: Array, h: Array, load: Array) -> Array:
         """R of eq. (9) over all rings, (n,), with the contact and constraint forces of the step.
@@ -100,7 +100,7 @@ class Dynamics:
         """
         y = (v_new - v) / h[:, None] + self.decay * v_new
         top = (y * np.matmul(y[:, None, :], self.mass)[:, 0]).sum(axis=1)
-        return np.sqrt(top * self.ring_mass / (load**2).sum(axis=1))
+        return np.asarray(np.sqrt(top * self.ring_mass / (load**2).sum(axis=1)))
 
 
 def copies(weave: Weave) -> Index:

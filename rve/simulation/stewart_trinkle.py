@@ -78,7 +78,7 @@ def geometric_stiffness(bend: Array, T: Array, equations: Equations) -> Array:
     half = np.linalg.solve(L, np.linalg.solve(L, bend).transpose(0, 2, 1))
     value, vector = np.linalg.eigh(0.5 * (half + half.transpose(0, 2, 1)))
     root = np.matmul(L, vector * np.sqrt(np.maximum(value, 0.0))[:, None, :])
-    return np.matmul(root, root.transpose(0, 2, 1))
+    return np.asarray(np.matmul(root, root.transpose(0, 2, 1)))
 
 
 def advance(

@@ -110,7 +110,7 @@ class Ends(Rows):
 
     def joints(self, angle_deg: float) -> Array:
         """The angles (n, k) of joints that are `angle_deg` degrees around each ring from the grain."""
-        return self.grain + np.radians(angle_deg) * self.sense
+        return np.asarray(self.grain + np.radians(angle_deg) * self.sense)
 
     def on(self, k: int) -> tuple[Array, Array, Index]:
         """Angles (n, e), directions (n, e, 3), contacts (n, e) of the ends on ring k; padding has no direction."""

@@ -204,7 +204,7 @@ def largest_factors(
 
 def _moments(J: Array, y: Array) -> Array:
     """Relative moments (n, 3, k) of the unknowns y (n, p) by J (n, 3, k, p)."""
-    return np.matmul(J.reshape(len(J), -1, J.shape[3]), y[..., None]).reshape(J.shape[:3])
+    return np.asarray(np.matmul(J.reshape(len(J), -1, J.shape[3]), y[..., None]).reshape(J.shape[:3]))
 
 
 def _newton(J: Array, H: Array, y: Array, sharp: Array) -> tuple[Array, Array]:
@@ -233,4 +233,4 @@ def _length(J: Array, H: Array, y: Array, step: Array, fraction: float) -> Array
     with np.errstate(divide="ignore", invalid="ignore"):
         yields = room / (b + np.sqrt(b**2 + a * room))  # |m + yields dm| = 1
         turns = np.where(dg < 0.0, -g / dg, np.inf)
-    return np.minimum(1.0, fraction * np.minimum(yields.min(axis=1), turns.min(axis=1, initial=np.inf)))
+    return np.asarray(np.minimum(1.0, fraction * np.minimum(yields.min(axis=1), turns.min(axis=1, initial=np.inf))))

@@ -8,7 +8,7 @@ import pytest
 
 from homogenize import ClothLaw, FitOptions, default_law, fit_table, load_law, ring_net, with_material
 from homogenize.io import DEFAULT_LAW
-from homogenize.laws import law_record, ring_cell
+from homogenize.laws import PolyhedralLaw, law_record, ring_cell
 from homogenize.query import strain_answer
 from rve import MATERIALS, DirectOptions, InputError, read_table
 
@@ -48,6 +48,8 @@ def test_files_of_version_0_2_are_read(tmp_path):
     assert table.options == DirectOptions(reference="locked")
     assert (law.cell, law.stiffness_is_measured, law.report.kind) == (table.cell, True, "outer")
     new = fit_table(OLD / "table.csv", FitOptions("outer")).law
+    assert isinstance(law, PolyhedralLaw)
+    assert isinstance(new, PolyhedralLaw)
     assert np.allclose(law.h, new.h, rtol=0.0, atol=1e-12)
     assert np.array_equal(law.rows.E, new.rows.E)
     assert with_material(law, {"young": 52.5e3}).stiffness == pytest.approx(0.5 * law.stiffness)

@@ -95,7 +95,7 @@ def spread_cost(solution, force):
     green = np.array([[[a, c], [c, b]] for a, c, b in vertices])
     lengths = np.array([np.hypot(*e) for e in edges])
     kappa = [np.sqrt(1.0 + 2.0 * max(e @ E @ e for E in green) / (e @ e)) for e in edges]
-    return np.hypot(*force) * (kappa * lengths**2 / 2.0).sum() / lengths.sum()
+    return np.hypot(*force) * np.sum(kappa * lengths**2 / 2.0) / lengths.sum()
 
 
 def test_a_point_load_costs_what_its_spreading_may_move(ring_like, scene_tables, monkeypatch):

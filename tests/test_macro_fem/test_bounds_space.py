@@ -84,11 +84,11 @@ def test_a_plane_curtain_in_space_has_the_bounds_of_the_plane(ring_like, scene_t
         assert solution.problem.fem.d == 2 + space
         found.append(bound(solution))
         scale = np.abs(solution.problem.force).sum() * 100.0
-    plane, space = found
-    assert space.upper == pytest.approx(plane.upper, abs=1e-8 * scale)
+    plane, deep = found
+    assert deep.upper == pytest.approx(plane.upper, abs=1e-8 * scale)
     # the dual is solved to a gap of 2e-5 of this scale
-    assert space.lower == pytest.approx(plane.lower, abs=2e-6 * scale)
-    assert space.error == pytest.approx(plane.error, abs=2e-5 * scale)
+    assert deep.lower == pytest.approx(plane.lower, abs=2e-6 * scale)
+    assert deep.error == pytest.approx(plane.error, abs=2e-5 * scale)
 
 
 def test_refinement_in_space_closes_the_interval(ring_like, scene_tables):

@@ -237,7 +237,7 @@ def test_a_history_draws_the_curtain_along_its_track():
     track = {"kind": "track", "radius": 600.0, "fullness": 1.3, "height": 500.0, "count": 5, "drawn": 1.0}
     drawing = track | {"history": [[0.0, 1.0], [0.2, 0.5]], "side": "end"}
     tables = {"support": drawing, "motion": {"duration": 0.2, "step": 0.02}}
-    assert scene_at(read_scene(SHEET | tables), 0.1).support[0].drawn == pytest.approx(0.75)
+    assert vars(scene_at(read_scene(SHEET | tables), 0.1).support[0])["drawn"] == pytest.approx(0.75)
     held = [frame.problem.supports for frame in moved(tables)[0].frames]
     wide = [np.ptp(one.positions[one.mask.any(axis=1), 0]) for one in held]
     assert wide[-1] == pytest.approx(0.5 * wide[0], rel=0.05)

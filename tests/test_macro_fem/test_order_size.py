@@ -174,7 +174,8 @@ def test_a_search_ends_at_the_value_wherever_it_lies_in_its_range(name, sign):
         tried.update({v: -math.log(factor(v**sign)) if factor(v**sign) else math.inf for v in values})
         return tried
 
-    span = Range(*sorted((0.1**sign, 1e4**sign)), sign=sign)
+    low, high = sorted((0.1**sign, 1e4**sign))
+    span = Range(low, high, sign=sign)
     good, bad = search(use, span, span.first_round())
     assert min(good, bad) <= crossing**sign * (1 + 1e-12)
     assert max(good, bad) >= crossing**sign * (1 - 1e-12)

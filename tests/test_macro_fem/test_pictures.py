@@ -89,7 +89,7 @@ def test_names_are_printed_as_they_are_typed(tmp_path):
     solved = macro_fem.solve(macro_fem.load_scene(tmp_path / "space.toml"))
     figure = compose(views(solved.steps)[0](new_plotter()), NAMES[0])
     figure.canvas.draw()
-    words = [*figure.legends[0].get_texts(), figure._suptitle]
+    words = [*figure.legends[0].get_texts(), figure._suptitle]  # type: ignore[attr-defined]
     assert {text.get_text() for text in words} >= {*NAMES}
     assert not any(text.get_parse_math() for text in words)
     solved.write_html(tmp_path / "space.html")

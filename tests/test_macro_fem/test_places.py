@@ -308,5 +308,5 @@ def test_nearly_whole_cells_keep_the_rings_at_the_corners():
     unread = "[solver] kind, bounds", "[support] (corners) rings_per_hook"
     assert rounded.notes[1:] == tuple(f"{keys}: has no effect on every ring" for keys in unread)
     assert len(rounded.mesh.X) == len(exact.mesh.X)
-    for (_, one), (_, other) in zip(exact.groups, rounded.groups, strict=True):
-        assert rounded.mesh.X[other[:, 0]] == pytest.approx(exact.mesh.X[one[:, 0]])
+    for (_, one), (_, its) in zip(exact.groups, rounded.groups, strict=True):
+        assert rounded.mesh.X[its[:, 0]] == pytest.approx(exact.mesh.X[one[:, 0]])

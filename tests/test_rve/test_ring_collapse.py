@@ -23,7 +23,8 @@ def pulls(count):
 def test_radial_pulls_make_a_hinge_at_each_load_and_between_each_two(count):
     """Two pulls: F = 4 M_p/R. In general N R (1 - cos h) = 2 M_p, N = F/(2 sin h), h = pi/count."""
     h = np.pi / count
-    factor, upper = plastic_collapse(*pulls(count), RING, YIELD)
+    angles, forces = pulls(count)
+    factor, upper = plastic_collapse(angles, forces, RING, YIELD)
     exact = 4.0 * PLASTIC / 5.0 * np.sin(h) / (1.0 - np.cos(h))
     assert factor[0] == pytest.approx(exact, rel=1e-6)
     assert upper[0] >= exact * (1.0 - 1e-9)

@@ -25,8 +25,8 @@ def all_rings(motion, dynamics):
     return ten.TenRings(flat[0], pose.normals[0, ten.KIND], np.concatenate([flat[1], spin], axis=1))
 
 
-CASES = [(20.0, 30.0, True), (45.0, 90.0, True), (0.0, 90.0, True), (20.0, 30.0, False)]
-CASES = [pytest.param(*case, marks=pytest.mark.slow) for case in CASES]
+LOADS = [(20.0, 30.0, True), (45.0, 90.0, True), (0.0, 90.0, True), (20.0, 30.0, False)]
+CASES = [pytest.param(*case, marks=pytest.mark.slow) for case in LOADS]
 
 
 @pytest.mark.parametrize(

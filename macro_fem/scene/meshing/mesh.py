@@ -303,7 +303,7 @@ def _lattice(outline: Array, spacing: float, aspect: float, angle: float) -> Arr
     i, j = np.meshgrid(np.arange(-n, n + 1.0), np.arange(-m, m + 1.0), indexing="ij")
     corners = np.stack([i.ravel(), j.ravel()], axis=-1)
     local = np.concatenate([corners, corners + 0.5]) * spacing * np.array([1.0, aspect])
-    return local @ turn.T
+    return np.asarray(local @ turn.T)
 
 
 def _check_region(outline: Array, holes: list[Array]) -> None:

@@ -223,7 +223,7 @@ def _chords(curve: Any, chord: float) -> Array:
     area = length * (4.0 * off[:, 0] + 2.0 * off[:, 1] + 4.0 * off[:, 2]) / 12.0  # Simpson's rule, towards the curve
     if np.linalg.norm(points[0] - points[-1]) <= ROUNDING * length.sum():
         move = (area + np.roll(area, 1, axis=0)) / (length + np.roll(length, 1, axis=0))
-        return points + np.vstack([move, move[:1]]) * (chord < math.inf)
+        return np.asarray(points + np.vstack([move, move[:1]]) * (chord < math.inf))
     area[[0, -1]] *= 2.0
     points[1:-1] += (area[:-1] + area[1:]) / (length[:-1] + length[1:]) * (chord < math.inf)
     return points
