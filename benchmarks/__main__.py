@@ -19,6 +19,7 @@ PAGES = {
     "docs/reports/every_ring.md": ("disk", "let_go", "cell", "generic", "starts", "hooks", "growth"),
     "docs/measured/steel.md": ("steel",),
     "docs/measured/scaling.md": ("scaling",),
+    "docs/measured/friction.md": ("friction",),
     "docs/reports/numbers.md": ("readme",),
 }
 """Sections of every page. A section is `measure` of the module of that name, in its page's folder if there is one."""

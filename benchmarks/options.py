@@ -20,8 +20,8 @@ from benchmarks.problems import Array, loads, square
 from homogenize import default_law, fit, locked_strain
 from macro_fem import EveryRing, OnDemand, read_scene, solve
 from macro_fem.curtain import make_problem, solve_problem
+from macro_fem.modes import find_modes
 from macro_fem.motion.curtain import MovingCurtain
-from macro_fem.motion.modes import find_modes
 from macro_fem.scene.meshing.mesh import build_mesh
 from rve import Cell, solve_table, with_rings
 from rve.common import InputError, NotConverged

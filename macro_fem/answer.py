@@ -7,6 +7,7 @@ from typing import Any
 
 from homogenize import MembraneLaw, default_law, load_law
 from macro_fem.judged import support_rows
+from macro_fem.motion_summary import MotionSummary
 from macro_fem.output.pictures import Drawings, Pictures, draw_all
 from macro_fem.ring_summary import EveryRingSummary
 from macro_fem.scene.reading import load_scene
@@ -36,7 +37,7 @@ class Solution(ABC):
 
     @property
     @abstractmethod
-    def summary(self) -> CurtainSummary | EveryRingSummary:
+    def summary(self) -> CurtainSummary | EveryRingSummary | MotionSummary:
         """The numbers of summary.json: lengths in mm, forces in N, line loads in N per mm of reference length."""
 
     @checked
@@ -48,12 +49,14 @@ class Solution(ABC):
         animation: bool = False,
         html: bool = False,
         inputs: Sequence[Path | None] = (),
-    ) -> CurtainSummary | EveryRingSummary:
+    ) -> CurtainSummary | EveryRingSummary | MotionSummary:
         """Write summary.json, VTU and pictures into `folder`; the summary.
 
         By a law: curtain.vtu, support_forces.csv, order.csv, curtain.png, with more than one load step curtain.pvd with
         one VTU per step and, as `animation`, curtain.gif of them, with `html` curtain.html, which turns in a browser.
-        Ring by ring: rings.vtu, support_forces.csv, rings.png, with `html` rings.html.
+        Ring by ring: rings.vtu, support_forces.csv, rings.png, with `html` rings.html. In motion: motion.csv,
+        motion.pvd with its VTUs, support_forces.csv of the weakest moment, motion.png, and as asked motion.gif and
+        motion.html.
 
         All but pictures appear together, and what they replace is gone; pictures follow. InputError where files cannot
         be written, or would overwrite `inputs`, or if what a picture needs is missing; NotDrawn, when all else is in

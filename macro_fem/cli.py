@@ -100,8 +100,8 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
                 "--explain, --limit, --report and --dxf: are for a curtain at rest, not for a scene with [motion]"
             )
         say(*default_law_lines(law_path))
-        summary, failed = made(run_motion, scene, law_path, out, goes_on=goes_on, **files)
-        say(*motion_lines(summary, out))
+        summary, failed = moved, _ = made(run_motion, scene, law_path, out, goes_on=goes_on, **files)
+        say(*motion_lines(moved, out))
     _answer_or_go_on(summary, failed, "run", scene, *(("--law", law_path) if law_path else ()), "--out", out)
     _say_next_of_curtain(out, summary)
 
@@ -175,12 +175,12 @@ def modes(scene: Path, law_path: Path | None, number: int, out: Path, picture: b
 
     Exit code 0: found; 1: the curtain at rest has not converged; 2: bad input; 3: only the picture failed.
     """
-    from macro_fem.motion.modes import run_modes
+    from macro_fem.modes import run_modes
 
     found, failed = made(run_modes, scene, law_path, out, number=number, picture=picture)
-    hertz = ", ".join(f"{one:.4g}" for one in found["frequencies_Hz"])
-    say(*found["notes"])
-    under = found["loads"] + ("" if found["time_s"] is None else ", as they are at t = 0 s")
+    hertz = ", ".join(f"{one:.4g}" for one in found.frequencies_Hz)
+    say(*found.notes)
+    under = found.loads + ("" if found.time_s is None else ", as they are at t = 0 s")
     answer(found, f"natural frequencies in Hz: {hertz}; under {under}; written to {out}")
     end_as(failed)
 
@@ -289,8 +289,8 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animatio
     is_moving = hung.motion is not None
     summary: Mapping[str, Any]
     if is_moving:
-        summary, failed = made(run_motion, scene, law_path, out, animation=animation, goes_on=goes_on, **how)
-        say(*motion_lines(summary, out))
+        summary, failed = moved, _ = made(run_motion, scene, law_path, out, animation=animation, goes_on=goes_on, **how)
+        say(*motion_lines(moved, out))
     elif goes_on or animation:
         raise InputError(AT_REST if goes_on else NO_MOMENTS)
     else:

@@ -1,6 +1,7 @@
 """Solving a scene, from Python and from files."""
 
-from contextlib import suppress
+from collections.abc import Callable
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, overload
@@ -26,7 +27,7 @@ from macro_fem.scene.tables import Combination, LiveLoad
 from macro_fem.solvers.status import COLLAPSED
 from macro_fem.summary import CurtainSummary
 from rve import Cell
-from rve.common import InputError, check_out_job, checked, noted_if_stopped, part_of
+from rve.common import InputError, check_out_job, checked, heard_by, noted_if_stopped, part_of
 
 Who = MembraneLaw | LawInterval | OnDemand | EveryRing | None
 """Who answers: a law, the interval of laws of a table, a law asked of the rings on the way, or every ring; None for the
@@ -34,18 +35,26 @@ law of rings with r1 = 5 mm and r2 = 0.5 mm."""
 
 
 @overload
-def solve(scene: Scene, who: EveryRing) -> EveryRingSolution:
+def solve(scene: Scene, who: EveryRing, *, progress: Callable[[str], object] | None = None) -> EveryRingSolution:
     """The answer of every ring."""
 
 
 @overload
-def solve(scene: Scene, who: MembraneLaw | LawInterval | OnDemand | None = None) -> MembraneSolution:
+def solve(
+    scene: Scene,
+    who: MembraneLaw | LawInterval | OnDemand | None = None,
+    *,
+    progress: Callable[[str], object] | None = None,
+) -> MembraneSolution:
     """The answer of a law."""
 
 
 @checked
-def solve(scene: Scene, who: Who = None) -> Solution:
-    """The answer to a scene.
+def solve(scene: Scene, who: Who = None, *, progress: Callable[[str], object] | None = None) -> Solution:
+    """The answer to a scene, a `MotionSolution` to one with [motion].
+
+    progress: is told in words, as `print` would be, what is being done and how far it is; of motions with the steps
+    and the time used and left.
 
     A law gives the curtain as a membrane. Bounds of a scene that asks for them hold for the law, or for its rings if it
     is an interval; the curtain is then that of the upper bound, by the inner law.
@@ -58,9 +67,19 @@ def solve(scene: Scene, who: Who = None) -> Solution:
     >>> print(solve(scene).status)
     converged
     """
+    with heard_by(progress) if progress else nullcontext():
+        return _solve(scene, who)
+
+
+def _solve(scene: Scene, who: Who) -> Solution:
     check_scene(scene)
     if scene.motion is not None:
-        scene.refuse("[motion]: is for a curtain over time, use macro_fem run or MovingCurtain")
+        from macro_fem.motion.solution import solve_motion
+
+        if isinstance(who, OnDemand):
+            scene.refuse("[motion]: a curtain in motion takes a law or EveryRing(), not OnDemand(cell)")
+        law = who.law if isinstance(who, LawInterval) else who
+        return solve_motion(scene, default_law() if law is None else law)
     if isinstance(who, EveryRing):
         return solve_every_ring(scene, who)
     answer = _solve_alone(scene, who)

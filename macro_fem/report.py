@@ -125,7 +125,7 @@ def _section(
 def _sections(summary: CurtainSummary, inputs: Iterable[Path]) -> Iterable[tuple[str, Iterable[str], bool]]:
     """Titles and lines of the further pages, and whether the lines are a table."""
     coarse = "at most " if summary.utilisation_too_low else ""
-    is_combined, given = summary.combinations is not None, links(summary)
+    is_combined, given = summary.combinations is not None, links(summary, summary.support_forces)
     factors = [f"{one.name}: at {coarse * (one.name == 'mesh')}{digits(one.factor)} times the load" for one in given]
     if is_combined:
         yield "Load combinations", combination_lines(summary), False

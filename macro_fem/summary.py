@@ -43,11 +43,8 @@ class Table:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Summary(Table, Mapping[str, Any]):
-    """The whole of summary.json; `summary["key"]` gives what the file has."""
-
-    status: str
-    message: str
+class Record(Table, Mapping[str, Any]):
+    """The whole of a file such as summary.json; `summary["key"]` gives what the file has."""
 
     @cached_property
     def _written(self) -> Own:
@@ -61,6 +58,14 @@ class Summary(Table, Mapping[str, Any]):
 
     def __len__(self) -> int:
         return len(self._written)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Summary(Record):
+    """A record of an answer, with how it ended."""
+
+    status: str
+    message: str
 
 
 @dataclass(frozen=True, kw_only=True)

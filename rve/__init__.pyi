@@ -9,6 +9,10 @@ from .finite import FiniteMesh as FiniteMesh
 from .geometry import WEAVES as WEAVES
 from .geometry import Cell as Cell
 from .locking.interior_point import DirectOptions as DirectOptions
+from .simulation import LoadHistory as LoadHistory
+from .simulation import SimulationOptions as SimulationOptions
+from .simulation import friction_loop as friction_loop
+from .simulation import simulate as simulate
 from .solve import reference_cell as reference_cell
 from .solve import solve_table as solve_table
 from .support_function import support as support

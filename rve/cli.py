@@ -1,4 +1,4 @@
-"""Command line: `python -m rve table`, `case`, `support`, `sweep`, `study`. `--help` of each says what it takes.
+"""Command line: `python -m rve table`, `case`, `support`, `simulate`, `sweep`, `study`, each with `--help`.
 
 How commands end: `rve.common.commands.command_line`.
 """
@@ -14,6 +14,7 @@ from rve.common import SENTENCES, InputError, NotConverged, numbers_of, read_jso
 from rve.common.cell_fields import Joint, check_ring_size
 from rve.common.commands.command_line import Group, answer, check_plot, options, parse_load, say, say_next
 from rve.common.commands.sweeps import SweepItem, further_options, run_sweep, sweep_options
+from rve.common.files import check_out_file
 from rve.common.materials import MATERIALS, material_of
 from rve.common.typed import BadField
 
@@ -179,6 +180,13 @@ def case(alpha: float, beta: float, plot: Path | None, **cell: Any) -> None:
         save_figure(plot, draw_case(found).figure)
 
 
+def _setting(text: str) -> tuple[str, float]:
+    """Name and number of "NAME=VALUE"."""
+    name, _, value = text.partition("=")
+    number = numbers_of(value, f"--set {name}", "VALUE")[0]
+    return name.strip(), int(number) if number.is_integer() else number
+
+
 @main.command(name="support", epilog="Example: rve support --S 0.5,-0.1,0.5")
 @click.option("--S", "load", required=True, help="S11,S12,S22: dead line load, positive semidefinite, any unit.")
 @branch_options
@@ -197,6 +205,79 @@ def support_command(load: str, branches: Any, reference: Any, **cell: Any) -> No
     if mesh.bound_note:
         say(mesh.bound_note, err=True)
     answer(found.row(0), always=True)
+
+
+@main.command(
+    epilog="Example: rve simulate --alpha 0 --beta 30 --to 0,60 --friction 0.1 --out loop.csv --plot loop.png"
+)
+@click.option("--alpha", help="Principal angles in degrees, FIRST:LAST:STEP or A,B,...")
+@click.option("--beta", help="Ratio angles in degrees, as --alpha; every pair of both is a case.")
+@click.option("--history", type=click.Path(path_type=Path), help="CSV with time_s, alpha_deg, beta_deg, size instead.")
+@click.option("--to", help="ALPHA,BETA: the load turns there and back, slowly; its loop is what friction takes.")
+@click.option("--friction", type=float, default=0.0, show_default=True, help="Coulomb's coefficient between rings.")
+@click.option(
+    "--set", "settings", multiple=True, help="NAME=VALUE: another option of rve.SimulationOptions, repeatable."
+)
+@click.option("--out", required=True, type=FILE, help="CSV file to write, with a JSON beside it.")
+@click.option("--plot", type=FILE, help="Picture to write, PNG, SVG or PDF: the loop, or the first three cases.")
+@larger_options
+@cell_options
+def simulate(
+    alpha: str | None,
+    beta: str | None,
+    history: Path | None,
+    to: str | None,
+    friction: float,
+    settings: tuple[str, ...],
+    out: Path,
+    plot: Path | None,
+    **cell: Any,
+) -> None:
+    """Move the rings by the paper's damped scheme until they rest, beside the locked state of the direct solver."""
+    from rve.common.drawing.plane import save_figure
+    from rve.common.typed import read_typed
+    from rve.directions import parse_angles, product
+    from rve.simulation.dynamics import SimulationOptions
+    from rve.simulation.run import ENDS, friction_loop, read_history, simulate, write_run
+
+    directions = None not in (alpha, beta) if history is None else {alpha, beta, to} == {None}
+    if not directions:
+        raise InputError("give --alpha and --beta, with --to for a loop, or --history alone")
+    options = read_typed(SimulationOptions, {"friction": friction} | dict(map(_setting, settings)), "--set")
+    check_out_file(out, inputs=[history], endings=(".csv",))
+    if plot is not None:
+        check_plot(plot, [history])
+    mesh, loop = asked_cell(**cell), None
+    loads = product(parse_angles(alpha or "0", "--alpha"), parse_angles(beta or "0", "--beta"))
+    if to is None:
+        run = simulate(mesh, loads if history is None else read_history(history), options)
+    elif len(loads.alpha_deg) > 1 or not friction:
+        raise InputError("--to: turns one load, with --friction above 0; give one --alpha and one --beta")
+    else:
+        a, b = numbers_of(to, "--to", "ALPHA,BETA")
+        loop = friction_loop(mesh, (loads.alpha_deg[0], loads.beta_deg[0]), (a, b), options)
+        run = loop.run
+    record = run.record(run.direct()) | ({} if loop is None else {"loop": loop.record()})
+    write_run(run, record, out)
+    if plot is not None:
+        from rve.simulation.pictures import draw_loop, draw_run
+
+        save_figure(plot, draw_run(run, range(min(3, len(run.E)))) if loop is None else draw_loop(loop))
+    for end in record["ends"]:
+        E, direct = ([end[f"{name}{of}"] for name in ("E11", "E12", "E22")] for of in ("", "_direct"))
+        told = f"alpha {end['alpha_deg']:g}, beta {end['beta_deg']:g}: {end['status']} after {end['steps']} steps"
+        strains = f"{', '.join(f'{x:.6f}' for x in E)}; direct solver {', '.join(f'{x:.6f}' for x in direct)}"
+        say(f"{told}, {end['t_s']:.1f} s; E = {strains}")
+    if loop is not None:
+        say(f"{loop}")
+    answer(record)
+    failed = sorted(set(run.status.tolist()) - {"converged"})
+    if failed:
+        count = int((run.status != "converged").sum())
+        told = "; ".join(f"{status}: {ENDS[status]}" for status in failed)
+        raise NotConverged(f"{out} is in place, but {count} of {len(run.E)} cases do not rest: {told}")
+    last = record["ends"][0]
+    say_next("rve", "case", "--alpha", last["alpha_deg"], "--beta", last["beta_deg"], why="the forces of that load")
 
 
 @main.command(

@@ -22,8 +22,8 @@ TABLE = ROOT / "tests" / "test_homogenize" / "data" / "table190.csv"
 SCENE = '[curtain]\nwidth = 70.0\nheight = 60.0\n[mesh]\ncells = {cells}\n[support]\nkind = "corners"\n'
 STEPS = SCENE + '[load]\nsteps = 2\n[[load.edge]]\nedge = "bottom"\nforce = [0.0, -1e-3]\n'
 STUDY = (
-    "from rve.simulation.study import run_study; from rve.simulation.stewart_trinkle import StewartTrinkleOptions; "
-    "run_study('out', {alpha}, [0.0, 45.0], StewartTrinkleOptions(max_steps=40))"
+    "from rve.simulation import SimulationOptions, run_study; "
+    "run_study('out', {alpha}, [0.0, 45.0], SimulationOptions(max_steps=40))"
 )
 
 

@@ -120,7 +120,8 @@ def nouns(table, answer, tmp_path_factory):
     still, n = slack_rings(every.found.mesh), len(every.found.centre)
     at_rest = ring_places(still), np.zeros((n, 3)), np.zeros((n, 3), bool), still.centre
     drawn = [still.drawn, step_rings(still, np.ones(2 * n), *at_rest)]
-    of_rings = [rve.DirectOptions(), FiniteOptions(), RoundBody((0.0, 0.0, -50.0), 5.0, 1.0, "ball")]
+    of_rings = [rve.SimulationOptions(), rve.LoadHistory([0.0], [0.0], [45.0], [1.0])]
+    of_rings += [rve.DirectOptions(), FiniteOptions(), RoundBody((0.0, 0.0, -50.0), 5.0, 1.0, "ball")]
     of_rings += [rve.support(cell, [0.5, 0.0, 0.5]), rve.pulled_ring(5.0, 0.5), cell_forces(E[0] + 1.0, cell)]
     of_rings += [HalfSpace((0.0, 1.0, 0.0), -99.0), locked_arrangements(cell), nearest_poses(E, cell)]
     laws = [law, law.half_spaces(), law.cut(E), law.response(E), homogenize.ClothLaw(), homogenize.diagonal_net()]

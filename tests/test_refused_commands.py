@@ -32,6 +32,14 @@ rve table --out new.csv --r2 0,5 -> '0,5' is not a number; has a decimal comma; 
 rve table --out new.csv --density 7.85 -> --density = 7.85: expected a number >= 100.0 kg/m3; did you mean 7850, from
 rve table --out new.csv --material 'Titanium grade2' -> did you mean titanium grade 2?
 rve table --out new.csv --material {"a" * 999} -> known are steel
+rve simulate --out new.csv --alpha 0 -> give --alpha and --beta, with --to for a loop, or --history alone
+rve simulate --out new.csv --alpha 0 --beta 45 --to 0,60 -> --to: turns one load, with --friction above 0
+rve simulate --out new.csv --alpha 0 --beta 120 -> cannot push
+rve simulate --out new.csv --alpha 0 --beta 45 --friction -1 -> friction = -1.0: expected a number >= 0
+rve simulate --out new.csv --alpha 0 --beta 45 --set h_mx=1 -> did you mean h_max?
+rve simulate --out new.csv --alpha 0 --beta 45 --set h_max -> --set h_max = '': give finite numbers VALUE
+rve simulate --out new.csv --history law.json -> law.json
+rve simulate --out table.txt --alpha 0 --beta 45 -> ends in .csv
 rve sweep --out tables --r1 5 --r2 0.5 --ringz -> did you mean --rings?
 homogenize --verbose -> No such option: --verbose
 homogenize fit -> Missing argument 'TABLE'

@@ -32,6 +32,7 @@ COMMANDS = {
     "rve case": ("--alpha", "20", "--beta", "45"),
     "rve support": ("--S", "0.5,-0.1,0.5"),
     "rve sweep": ("--out", "tables", "--r1", "5", "--r2", "0.5", "--alpha", "0", "--beta", "45,60"),
+    "rve simulate": ("--alpha", "20", "--beta", "45", "--set", "h_max=10", "--out", "moved.csv"),
     "macro_fem localize": ("curtain", "--out", "each", "--no-picture"),
     "homogenize fit": ("table.csv", "--out", "fitted.json"),
     "homogenize strain": ("law.json", "--alpha", "20", "--beta", "45"),

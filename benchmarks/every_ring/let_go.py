@@ -14,9 +14,9 @@ from benchmarks.measure import Row
 from homogenize import default_law
 from macro_fem import Mesh, Motion, Point, Rectangle, Scene, Top, Wind
 from macro_fem.motion.curtain import MovingCurtain
-from macro_fem.motion.files import account_error
 from macro_fem.motion.pace import COLUMNS
 from macro_fem.motion.rings import MovingRings
+from macro_fem.motion.series import account_error
 
 DURATION, STEP, CELLS = 0.15, 5e-3, 16
 """Seconds, and cells of the disk across."""

@@ -14,7 +14,7 @@ from rve import Cell, DirectOptions
 from rve.geometry import cauchy_line_load
 from rve.locking import Equations, Equilibrium, solve_equilibrium, unit_loads
 from rve.locking.limits import polish, touching
-from rve.simulation import StewartTrinkleOptions, simulate
+from rve.simulation import simulate
 
 LIGHT = 1e-6
 """Share of the mass that is left in a motion without inertia."""
@@ -59,7 +59,7 @@ def moved(term: str, given: tuple[Array, Array]) -> Row:
     """A term and those it needs, against the direct solver; the longer run is made once."""
     s, equations = unit_loads(cauchy_line_load(*given)), Equations.of(Cell().weave, Cell().wire)
     plain, without = least_seconds(partial(solve_equilibrium, s, equations))
-    found, with_it = least_seconds(partial(locked_by_motion, s, equations, term), repeats=1)
+    found, with_it = least_seconds(partial(locked_by_motion, given, equations, term), repeats=1)
     change, count = float(np.abs(found.pose.lattice - plain.pose.lattice).max()), len(s)
     ok = bool((found.status == "converged").all() and (plain.status == "converged").all())
     scene = f"{count} load{'s' * (count > 1)}"
@@ -67,12 +67,11 @@ def moved(term: str, given: tuple[Array, Array]) -> Row:
     return row | {"_steps": int(found.iterations.sum())}
 
 
-def locked_by_motion(s: Array, equations: Equations, term: str) -> Equilibrium:
-    """Locked states under the unit line loads s (n, 3) at the end of motions; iterations are time steps."""
-    paper = StewartTrinkleOptions()
-    how = replace(paper, density=LIGHT * paper.density) if term == "damping" else paper
-    rest = simulate(s, equations, how)
-    steps, at_rest = rest.steps, rest.status == "converged"
+def locked_by_motion(given: tuple[Array, Array], equations: Equations, term: str) -> Equilibrium:
+    """Locked states under the loads (alpha, beta), (n,) each, at the end of motions; iterations are time steps."""
+    density = Cell().density
+    rest = simulate(Cell(density=LIGHT * density if term == "damping" else density), given).rest
+    s, steps, at_rest = rest.s, rest.steps, rest.status == "converged"
     found = polish(rest.pose, equations, s, TOUCHING)
     is_locked = (DirectOptions.tolerance > found.R) & (found.contacts.min_gap > -1e-10) & found.contacts.links_intact
     return replace(found, iterations=steps, status=np.where(at_rest & is_locked, "converged", "stalled"))

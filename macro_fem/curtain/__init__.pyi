@@ -11,7 +11,6 @@ from .problem import touching_walls as touching_walls
 from .shape import ShapeOptions as ShapeOptions
 from .shape import solve_shape as solve_shape
 from .solution import CurtainSolution as CurtainSolution
-from .solution import InnerForces as InnerForces
 from .solution import slackened as slackened
 from .solve import NOT_UNIQUE as NOT_UNIQUE
 from .solve import forces_by as forces_by
@@ -23,6 +22,8 @@ from .solve import solve_convex as solve_convex
 from .solve import solve_problem as solve_problem
 from .solve import supports_reach as supports_reach
 from .solve import with_forces as with_forces
+from .state import CurtainState as CurtainState
+from .state import InnerForces as InnerForces
 from .wind import P2_PARTS as P2_PARTS
 from .wind import front_of as front_of
 from .wind import wind_density as wind_density

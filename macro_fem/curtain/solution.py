@@ -6,50 +6,32 @@ from functools import cached_property
 
 import numpy as np
 
-from macro_fem.curtain.problem import CurtainProblem, gathered_start
-from macro_fem.fem.assembly import gradient, internal_force, load_vector
-from macro_fem.fem.cells import padded, recovered
+from macro_fem.curtain.problem import gathered_start, placed_obstacles
+from macro_fem.curtain.state import CurtainState
+from macro_fem.fem.assembly import internal_force, load_vector
+from macro_fem.fem.cells import padded
+from macro_fem.scene.obstacles import PlacedObstacle
 from macro_fem.scene.support_kinds import Track
 from macro_fem.solvers.cones import Cones, all_cuts, green_strain, least_slack
 from macro_fem.solvers.status import FREE, ROUNDING, Evidence, Judged, Reach, Settling, Verdict, judged, load_scale
 from rve.common import Array
 
-SLACK = 1e-3
-"""A larger principal line load below this part of the greatest one anywhere counts as none: slack."""
-WRINKLED = 0.05
-"""A smaller principal line load below this part of the larger one beside it counts as none: drawn in one direction."""
 
-
-@dataclass(frozen=True, eq=False)
-class InnerForces:
-    """Line loads at the points, P = F S (nq, d, 2) and S (nq, 3), in N per mm of reference length; the even tension in
-    N/mm that P balances besides the load; wall_forces (m,), N: the push of each half-space along its normal.
-    """
-
-    P: Array
-    S: Array
-    tension: float
-    wall_forces: Array
-
-
-@dataclass(frozen=True, eq=False)
-class CurtainSolution(Judged):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CurtainSolution(CurtainState, Judged):
     """The curtain at one load step.
 
-    x (n_nodes, d) positions, mm; primal and dual values of the potential -sum force . (x - X), N mm; `inner`: line
-    loads, and pushes of half-spaces. Status and message follow from the rest: `stop` is why the solver stopped, `asked`
-    what the numbers of an answer must not exceed, `reach` how much farther apart the supports could be, `relaxation` by
-    how much the law was relaxed, whose bounds primal and dual then are; None for the law as it is. `second_step`:
-    whether forces are those of elastic rings by a second step, and why; None where that is no question. `settling`: how
-    far the rounds of `macro_fem.curtain.shape` have come, None where the problem is convex. tau (nq,): plastic work
-    per area, N/mm, None where rings do not flow.
+    primal, dual: values of the potential -sum force . (x - X), N mm; `inner`: pushes of half-spaces too. Status and
+    message follow from the rest: `stop` is why the solver stopped, `asked` what the numbers of an answer must not
+    exceed, `reach` how much farther apart the supports could be, `relaxation` by how much the law was relaxed, whose
+    bounds primal and dual then are; None for the law as it is. `second_step`: whether forces are those of elastic rings
+    by a second step, and why; None where that is no question. `settling`: how far the rounds of
+    `macro_fem.curtain.shape` have come, None where the problem is convex. tau (nq,): plastic work per area, N/mm, None
+    where rings do not flow.
     """
 
-    problem: CurtainProblem
     stop: str
     asked: Evidence
-    x: Array
-    inner: InnerForces
     primal: float
     dual: float
     iterations: int
@@ -66,13 +48,6 @@ class CurtainSolution(Judged):
         """Whether P is the stress of the elastic law, else of ideal locking."""
         return self.problem.scene.solver.is_elastic
 
-    @cached_property
-    def F(self) -> Array:
-        """Deformation gradients (nq, d, 2)."""
-        return gradient(self.problem.disc, self.x)
-
-    P = property(lambda self: self.inner.P)
-    S = property(lambda self: self.inner.S)
     tension = property(lambda self: self.inner.tension)
     wall_forces = property(lambda self: self.inner.wall_forces)
 
@@ -98,6 +73,21 @@ class CurtainSolution(Judged):
     def residual(self) -> float:
         """Sum of the forces on free unknowns that do not balance, over the sum of the loads."""
         return float(np.abs(self.problem.fem.gather(self.unbalanced)).sum()) / self._total
+
+    @cached_property
+    def obstacles(self) -> list[PlacedObstacle]:
+        return placed_obstacles(self.problem)
+
+    @cached_property
+    def pushed(self) -> Array:
+        walls = self.problem.walls
+        each = [np.where(walls.owner == one.number, self.wall_forces, 0.0) for one in self.obstacles]
+        return np.reshape([walls.nodal(one) for one in each], (len(each), *self.x.shape))
+
+    @property
+    def blown(self) -> Array:
+        problem = self.problem
+        return problem.force - problem.dead if problem.winds else np.zeros_like(problem.dead)
 
     @cached_property
     def pushes(self) -> Array:
@@ -127,16 +117,6 @@ class CurtainSolution(Judged):
         """Stretch at each point beyond that at which the rings lock, relative (nq,); 0 where none is."""
         cut = all_cuts(self.problem.law, self.E)
         return np.sqrt(1.0 + np.maximum(0.0, cut.violation / (cut.h + 0.5))) - 1.0
-
-    @property
-    def E(self) -> Array:
-        """Green strain (nq, 3)."""
-        return green_strain(self.F)
-
-    @property
-    def corners(self) -> Array:
-        """Positions of the corners of the mesh (n_corners, d), mm: the first nodes of every element."""
-        return self.x[: self.problem.mesh.mesh.p.shape[1]]
 
     @property
     def displacement(self) -> Array:
@@ -193,25 +173,6 @@ class CurtainSolution(Judged):
         lost = ~np.isfinite(x).all(axis=1)
         x[lost] = NearestNDInterpolator(nodes, self.x)(X[lost])
         return padded(x)
-
-    def principal(self) -> tuple[Array, Array]:
-        """Principal line loads (n_cells, 2), larger first, and the reference direction of the larger (n_cells, 2).
-
-        These are the singular values of P, averaged over neighbours first: forces per reference length, which the
-        rings of a pitch carry, finite even where the mesh is drawn together to a line.
-        """
-        _, values, Vt = np.linalg.svd(self.recovered(self.P))
-        return values, Vt[:, 0, :]
-
-    def recovered(self, values: Array) -> Array:
-        """Values at points, (n_cells, ...) averaged over cells and neighbours: `macro_fem.fem.cells.recovered`."""
-        return recovered(self.problem.mesh.mesh.t.T, self.problem.disc.cell_mean(values), self.problem.disc.cell_area)
-
-    def state(self) -> np.ndarray:
-        """Per cell 0 where it is slack, 1 where it is drawn in one direction (wrinkled), 2 where it is taut in both."""
-        values, _ = self.principal()
-        is_drawn = values[:, 0] > SLACK * float(values.max(initial=0.0))
-        return is_drawn.astype(int) + (is_drawn & (values[:, 1] > WRINKLED * values[:, 0]))
 
 
 def slackened(solution: CurtainSolution, inward: float) -> Array:

@@ -14,7 +14,8 @@ import numpy as np
 
 from macro_fem.curtain.problem import CurtainProblem, gathered_start, stabilising_tension, strength_at_points
 from macro_fem.curtain.shape import solve_shape
-from macro_fem.curtain.solution import CurtainSolution, InnerForces, slackened
+from macro_fem.curtain.solution import CurtainSolution, slackened
+from macro_fem.curtain.state import InnerForces
 from macro_fem.fem.cells import components
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.supports import check_pins

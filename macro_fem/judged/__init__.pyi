@@ -11,6 +11,7 @@ from .forces import spot_loads as spot_loads
 from .forces import support_forces as support_forces
 from .forces import support_rows as support_rows
 from .line_load import FINE as FINE
+from .line_load import Disks as Disks
 from .line_load import Extreme as Extreme
 from .line_load import Nearby as Nearby
 from .line_load import judge_line_loads as judge_line_loads
@@ -31,3 +32,4 @@ from .verdict import combination_rows as combination_rows
 from .verdict import envelope as envelope
 from .verdict import judge as judge
 from .verdict import links as links
+from .verdict import severity as severity

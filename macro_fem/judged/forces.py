@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from macro_fem.curtain import CurtainSolution
+from macro_fem.curtain import CurtainSolution, CurtainState
 from macro_fem.fem.cells import padded
 from macro_fem.scene.meshing.mesh import point_node
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.support_kinds import Hooks, Track
+from macro_fem.scene.support_kinds import Held, Hooks, Track
 from macro_fem.scene.tables import PatchLoad, PointLoad, in_3d
 from macro_fem.summary import HeldPoint, ObstacleForce, ObstacleStep, RingSupport, Rounds, SupportForce
 from rve.common import Array, digits
@@ -36,13 +36,14 @@ class PointForce:
     place: str = ""
 
 
-def point_forces(solution: CurtainSolution) -> Iterator[PointForce]:
+def point_forces(solution: CurtainState) -> Iterator[PointForce]:
     """Forces of supports that hold single points, and of loads on points and patches, at their present share; loads at
     one node, or on patches of one radius around it, are one force."""
     problem = solution.problem
     nodes, scene, factor = problem.disc.nodes, problem.scene, problem.factor
     size = np.linalg.norm(solution.reactions, axis=1)
-    for number, (item, held) in enumerate(zip(scene.support, problem.supports.held, strict=True), 1):
+    for held in problem.supports.held:
+        item, number = scene.support[held.number], held.number + 1
         of = f" of support {number}" if len(scene.support) > 1 else ""
         for count, node in enumerate(held.nodes if not len(held.facets) else (), 1):
             name, rings = f"support {number} ({held.name})", getattr(item, "rings_per_hook", 1)
@@ -69,18 +70,21 @@ def spot_loads(scene: Scene) -> list[tuple[str, PointLoad | PatchLoad]]:
     return [(f"load.{kind.kind} {number}", one) for kind in kinds for number, one in enumerate(scene.of(kind), 1)]
 
 
-def support_forces(solution: CurtainSolution) -> tuple[SupportForce, ...]:
-    """Force of each support on the curtain in N, in sum and at each of its nodes, and what it holds.
+def support_forces(solution: CurtainState) -> tuple[SupportForce, ...]:
+    """Force of each support on the curtain in N, in sum and at each of its nodes, and what it holds: nothing of one
+    that has let go.
 
     A component held by two supports counts for the first, so that the forces of all points balance the loads;
     `nodes_held`, `length_held_mm` and `largest_nodal_force_N` are also of what an earlier support holds.
     """
-    problem, forces = solution.problem, []
-    shares = own_forces([held.components(solution.x.shape) for held in problem.supports.held], solution.reactions)
-    each = zip(problem.scene.support, problem.supports.held, shares, strict=True)
-    for number, (item, held, (own, part, largest)) in enumerate(each):
+    problem, forces, scene = solution.problem, [], solution.problem.scene
+    each = [Held.nothing(item.one, number, scene.d) for number, item in enumerate(scene.support)]
+    for one in problem.supports.held:
+        each[one.number] = one
+    shares = own_forces([held.components(solution.x.shape) for held in each], solution.reactions)
+    for item, held, (own, part, largest) in zip(scene.support, each, shares, strict=True):
         columns = {"at_mm": problem.disc.nodes, "force_N": part, "place_mm": solution.x}
-        row = problem.mesh.hooks.get(number)
+        row = problem.mesh.hooks.get(held.number)
         points = tuple(
             HeldPoint(point=f"{item.one} {count}", **{name: values[node].tolist() for name, values in columns.items()})
             for count, node in enumerate(held.nodes, 1)
@@ -154,11 +158,9 @@ def support_rows(supports: Sequence[SupportForce | RingSupport]) -> tuple[tuple[
     return ("support_number", "support", "x_mm", "y_mm", *columns, "point"), rows
 
 
-def pushes_of(solution: CurtainSolution, number: int) -> Array:
+def pushes_of(solution: CurtainState, number: int) -> Array:
     """Pushes (n_nodes, 3) of obstacle `number` of the scene on the nodes of the curtain, N."""
-    walls = solution.problem.walls
-    own = walls.owner == number
-    return padded(walls.take(own).nodal(solution.wall_forces[own]))
+    return padded(solution.pushed[number])
 
 
 def obstacle_forces(steps: Sequence[CurtainSolution]) -> tuple[ObstacleForce, ...]:

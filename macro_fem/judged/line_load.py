@@ -7,17 +7,18 @@ it, in the reference state, that has this area: a disk inside, half a disk on an
 """
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 
-from macro_fem.curtain import CurtainSolution
+from macro_fem.curtain import CurtainState
 from macro_fem.fem.cells import signed_areas
 from macro_fem.judged.forces import PointForce
 from macro_fem.scene.loads import disk_areas
+from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.summary import LineLoads
 from rve.common import Array, Index
 
@@ -44,7 +45,7 @@ class Extreme(NamedTuple):
     force: PointForce | None = None
 
 
-def judge_line_loads(solution: CurtainSolution) -> LineLoads:
+def judge_line_loads(solution: CurtainState) -> LineLoads:
     """The largest line loads for summary.json; averages are None for a law that has no cell."""
     cell, peak = solution.problem.law.cell, largest(solution)
     area = None if cell is None else cell.b_x_mm * cell.b_y_mm
@@ -58,85 +59,52 @@ def judge_line_loads(solution: CurtainSolution) -> LineLoads:
     )
 
 
-def largest(solution: CurtainSolution) -> Extreme:
+def largest(solution: CurtainState) -> Extreme:
     """The largest principal line load of any cell, and the middle of that cell."""
     values, mesh = solution.principal()[0][:, 0], solution.problem.mesh.mesh
     cell = int(values.argmax())
     return Extreme(float(values[cell]), mesh.p[:, mesh.t[:, cell]].mean(axis=1))
 
 
-def largest_mean(solution: CurtainSolution, area: float) -> Extreme:
+def largest_mean(solution: CurtainState, area: float) -> Extreme:
     """The largest singular value of P averaged over the `area` (mm2) nearest to a corner of the mesh."""
-    P, mesh = solution.recovered(solution.P), solution.problem.mesh.mesh
+    P = solution.recovered(solution.P)
     size = np.linalg.norm(P, 2, axis=(1, 2))
-    near = Nearby(mesh.p.T, mesh.t.T, P, size, area)
+    near = Nearby(disks_of(solution.problem.mesh, area), P, size)
     return near.largest(lambda P: np.asarray(np.linalg.norm(P, 2, axis=(1, 2))))
 
 
-class Nearby:
-    """Averages of P (n, ...), constant in triangles (n, 3) of points x (p, 2), over the `area` (mm2) nearest to one;
-    size (n,): convex in P, such as its largest singular value, so that averages have at most the largest of it."""
+class Disks:
+    """Triangles (n, 3) of points x (p, 2), and of each place those within the `area` (mm2) nearest to it."""
 
-    def __init__(self, x: Array, triangles: Index, P: Array, size: Array, area: float) -> None:
-        self.points, self.corners = x[np.unique(triangles)], x[triangles]
-        self.P, self.size, self.area = P, size, area
+    def __init__(self, x: Array, triangles: Index, area: float) -> None:
+        self.points, self.corners, self.area = x[np.unique(triangles)], x[triangles], area
         self.middle = self.corners.mean(axis=1)
         self.half = np.linalg.norm(self.corners - self.middle[:, None], axis=-1).max(axis=1)
         self.radius = float(np.sqrt(area / np.pi))
         self.whole = float(np.abs(signed_areas(self.corners)).sum())
         self.tree = cKDTree(self.middle)
-        self._means: dict[int, Array] = {}  # at the points, which first yield and collapse ask for
+        self._at_points: dict[int, tuple[np.ndarray, Array]] = {}
 
     @cached_property
-    def bound(self) -> Array:
-        """The largest size of any triangle that an average at each corner of the mesh may take in, (k,)."""
-        return np.array([self.size[self._around(x, WIDEST * self.radius)].max() for x in self.points])
+    def reach(self) -> tuple[np.ndarray, np.ndarray]:
+        """Triangles that an average at any of the `points` (k,) may take in, one point after another, and where those
+        of each begin, (k,)."""
+        each = [self._around(x, WIDEST * self.radius) for x in self.points]
+        return np.concatenate(each), np.cumsum([0, *map(len, each[:-1])])
 
-    def largest(self, value: Callable[[Array], Array], most: float = 1.0) -> Extreme:
-        """The largest value (n,) of averages (n, ...) at the corners of the mesh; it is at most `most` times `size`.
-
-        Places are visited in the order of this bound, until it is no more than the largest value found. Of places where
-        the value is the same up to `ALIKE` the first is named, as the rest is rounding.
-        """
-        bound = most * self.bound
-        order = np.argsort(-np.round(bound / max(float(bound.max()), 1e-300) / ALIKE), kind="stable")
-        best = Extreme(0.0, self.points[order[0]])
-        for i in order:
-            if bound[i] * (1.0 + ALIKE) <= best.value:
-                break
-            if i not in self._means:
-                self._means[i] = self.mean(self.points[i])
-            mean = self._means[i]
-            found = float(value(mean[None])[0])
-            if found > (1.0 + ALIKE) * best.value:
-                best = Extreme(found, self.points[i], mean)
-            best = best._replace(value=max(found, best.value))
-        return best
-
-    def mean(self, x: Array, area: float = 0.0) -> Array:
-        """P averaged over the area nearest to x (2,), or over another `area` (mm2) if that is larger; over all
-        triangles if they have less."""
-        cells, part, _ = self._nearest(x, area)
-        return np.asarray(np.tensordot(part, self.P[cells], axes=1) / part.sum())
-
-    def sides(self, x: Array) -> tuple[float, float]:
-        """Side in mm, as root of the area, of the triangles in the average at x (2,): the mean by area, the largest."""
-        cells, part, _ = self._nearest(x)
-        areas = np.abs(signed_areas(self.corners[cells]))
-        return float(np.sqrt(part @ areas / part.sum())), float(np.sqrt(areas[part > SAME * part.sum()].max()))
-
-    def chord(self, x: Array, m: Array) -> float:
-        """Longest part in mm of the line from x (2,) along m (2,) that lies in one of the averages centred on it."""
-        steps = STEPS * self._nearest(x)[2]
-        radii = [self._nearest(x + t * m)[2] for t in steps]
-        return float(max(radius + min(t, radius) for t, radius in zip(steps, radii, strict=True)))
+    def at_point(self, i: int) -> tuple[np.ndarray, Array]:
+        """`nearest` of one of the points, without the radius; found once."""
+        if i not in self._at_points:
+            self._at_points[i] = self.nearest(self.points[i])[:2]
+        return self._at_points[i]
 
     def _around(self, x: Array, radius: float) -> np.ndarray:
         """The triangles that may have a point within `radius` of x (2,), in the order of their numbers."""
         cells = np.array(self.tree.query_ball_point(x, radius + self.half.max(), return_sorted=True), dtype=int)
         return np.asarray(cells[np.linalg.norm(self.middle[cells] - x, axis=1) <= radius + self.half[cells]])
 
-    def _nearest(self, x: Array, area: float = 0.0) -> tuple[np.ndarray, Array, float]:
+    def nearest(self, x: Array, area: float = 0.0) -> tuple[np.ndarray, Array, float]:
         """Triangles (k,) that the disk around x (2,) meets, the area (k,) of each in it, and its radius."""
         wanted = min(max(self.area, area), (1.0 - SAME) * self.whole)
         reach = float(np.sqrt(wanted / np.pi))
@@ -148,3 +116,65 @@ class Nearby:
             reach *= 1.5
         radius = float(brentq(lambda radius: areas(radius).sum() - wanted, 0.5 * reach, reach, xtol=1e-12 * reach))
         return cells, areas(radius), radius
+
+
+@lru_cache(maxsize=2)
+def disks_of(mesh: CurtainMesh, area: float) -> Disks:
+    """The disks of a mesh, which all moments and questions share."""
+    return Disks(mesh.mesh.p.T, mesh.mesh.t.T, area)
+
+
+class Nearby:
+    """Averages of P (n, ...), constant in the triangles of `disks`, over their area; size (n,): convex in P, such as
+    its largest singular value, so that averages have at most the largest of it."""
+
+    def __init__(self, disks: Disks, P: Array, size: Array) -> None:
+        self.disks, self.P, self.size, self.area = disks, P, size, disks.area
+        self._means: dict[int, Array] = {}  # at the points, which first yield and collapse ask for
+
+    @cached_property
+    def bound(self) -> Array:
+        """The largest size of any triangle that an average at each corner of the mesh may take in, (k,)."""
+        cells, begin = self.disks.reach
+        return np.maximum.reduceat(self.size[cells], begin)
+
+    def largest(self, value: Callable[[Array], Array], most: float = 1.0) -> Extreme:
+        """The largest value (n,) of averages (n, ...) at the corners of the mesh; it is at most `most` times `size`.
+
+        Places are visited in the order of this bound, until it is no more than the largest value found. Of places where
+        the value is the same up to `ALIKE` the first is named, as the rest is rounding.
+        """
+        bound = most * self.bound
+        order = np.argsort(-np.round(bound / max(float(bound.max()), 1e-300) / ALIKE), kind="stable")
+        points = self.disks.points
+        best = Extreme(0.0, points[order[0]])
+        for i in order:
+            if bound[i] * (1.0 + ALIKE) <= best.value:
+                break
+            if i not in self._means:
+                cells, part = self.disks.at_point(i)
+                self._means[i] = np.asarray(np.tensordot(part, self.P[cells], axes=1) / part.sum())
+            mean = self._means[i]
+            found = float(value(mean[None])[0])
+            if found > (1.0 + ALIKE) * best.value:
+                best = Extreme(found, points[i], mean)
+            best = best._replace(value=max(found, best.value))
+        return best
+
+    def mean(self, x: Array, area: float = 0.0) -> Array:
+        """P averaged over the area nearest to x (2,), or over another `area` (mm2) if that is larger; over all
+        triangles if they have less."""
+        cells, part, _ = self.disks.nearest(x, area)
+        return np.asarray(np.tensordot(part, self.P[cells], axes=1) / part.sum())
+
+    def sides(self, x: Array) -> tuple[float, float]:
+        """Side in mm, as root of the area, of the triangles in the average at x (2,): the mean by area, the largest."""
+        cells, part, _ = self.disks.nearest(x)
+        areas = np.abs(signed_areas(self.disks.corners[cells]))
+        return float(np.sqrt(part @ areas / part.sum())), float(np.sqrt(areas[part > SAME * part.sum()].max()))
+
+    def chord(self, x: Array, m: Array) -> float:
+        """Longest part in mm of the line from x (2,) along m (2,) that lies in one of the averages centred on it."""
+        steps = STEPS * self.disks.nearest(x)[2]
+        radii = [self.disks.nearest(x + t * m)[2] for t in steps]
+        return float(max(radius + min(t, radius) for t, radius in zip(steps, radii, strict=True)))

@@ -21,10 +21,10 @@ import numpy as np
 import shapely
 
 from homogenize.laws import Strength, strength_of_law
-from macro_fem.curtain import CurtainSolution
+from macro_fem.curtain import CurtainState
 from macro_fem.fem.hung_law import HungLaw, largest_stretch
-from macro_fem.judged.forces import TOUCHES, PointForce, first_of_largest, point_forces, pushes_of, spot_loads
-from macro_fem.judged.line_load import FINE, Extreme, Nearby
+from macro_fem.judged.forces import TOUCHES, PointForce, first_of_largest, point_forces, spot_loads
+from macro_fem.judged.line_load import FINE, Extreme, Nearby, disks_of
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import Bar, EdgeLoad
 from macro_fem.summary import RingStrength, Utilisation
@@ -64,7 +64,7 @@ MEANING = (
 )
 
 
-def judge_strength(solution: CurtainSolution) -> RingStrength:
+def judge_strength(solution: CurtainState) -> RingStrength:
     """Utilisation, factors, place and material; None, with a reason, where they are not known."""
     law = solution.problem.law
     known, by = strength_of_law(law.own), judged_by(law)
@@ -82,7 +82,7 @@ def judge_strength(solution: CurtainSolution) -> RingStrength:
     )
 
 
-def _utilisation(solution: CurtainSolution, known: Strength, cell: CellInfo) -> Utilisation:
+def _utilisation(solution: CurtainState, known: Strength, cell: CellInfo) -> Utilisation:
     """Where the strength is known, by what first yield and collapse ask of mesh and rings."""
     near, first, last = _largest_asked(solution, known, cell)
     mean, points, hook = first
@@ -109,9 +109,7 @@ def _utilisation(solution: CurtainSolution, known: Strength, cell: CellInfo) -> 
     )
 
 
-def _too_coarse(
-    solution: CurtainSolution, near: Nearby, known: Strength, mean: Extreme, pointwise: float
-) -> str | None:
+def _too_coarse(solution: CurtainState, near: Nearby, known: Strength, mean: Extreme, pointwise: float) -> str | None:
     """Which mesh is needed at the largest average, where it lies in cells too large for it and not evenly loaded."""
     (side, largest), needed = near.sides(mean.at), FINE * float(np.sqrt(near.area))
     wide = float(known.utilisation(near.mean(mean.at, (WIDER * side) ** 2)[None])[0])
@@ -140,14 +138,14 @@ def judged_by(law: HungLaw) -> tuple[Strength, CellInfo] | str:
     return "the law has no cell to average the line load over" if law.cell is None else (known, law.cell)
 
 
-def utilisation(solution: CurtainSolution) -> Array | None:
+def utilisation(solution: CurtainState) -> Array | None:
     """Utilisation of the rings of each cell (n_cells,), averaged over neighbours as S is; None if it is not known."""
     law = solution.problem.law
     by = judged_by(law)
     return None if isinstance(by, str) else by[0].utilisation(law.in_weave(solution.recovered(solution.S)))
 
 
-def collapse_at_points(solution: CurtainSolution) -> float | None:
+def collapse_at_points(solution: CurtainState) -> float | None:
     """The factor at which a ring at a held or loaded point collapses, or the mesh there by `largest_borne` where cells
     are too large to tell; None where nothing bears there, or it is not known."""
     by = judged_by(solution.problem.law)
@@ -158,7 +156,7 @@ def collapse_at_points(solution: CurtainSolution) -> float | None:
     return 1.0 / most if most > UNLOADED else None
 
 
-def critical_load(solution: CurtainSolution) -> Array | None:
+def critical_load(solution: CurtainState) -> Array | None:
     """S (3,) in the frame of the weave where the utilisation of the mesh is largest; None where it is not known."""
     by = judged_by(solution.problem.law)
     if isinstance(by, str):
@@ -167,16 +165,24 @@ def critical_load(solution: CurtainSolution) -> Array | None:
     return max(mean, points, key=lambda one: one.value).load
 
 
+def largest_utilisation(solution: CurtainState) -> float | None:
+    """The largest utilisation at first yield, of the mesh and of rings at points; None where it is not known."""
+    by = judged_by(solution.problem.law)
+    if isinstance(by, str):
+        return None
+    return max(one.value for one in _largest_asked(solution, *by, collapse=False)[1])
+
+
 def _largest_asked(
-    solution: CurtainSolution, known: Strength, cell: CellInfo
+    solution: CurtainState, known: Strength, cell: CellInfo, *, collapse: bool = True
 ) -> tuple[Nearby, tuple[Extreme, ...], tuple[Extreme, ...]]:
     """Averages of S over one cell of the weave; extreme utilisations by them, by forces at points, and of the rings
-    there, at first yield and at collapse."""
-    own, mesh = solution.recovered(solution.S), solution.problem.mesh.mesh
+    there, at first yield and, if asked for, at collapse."""
+    own = solution.recovered(solution.S)
     S = solution.problem.law.in_weave(own)
     # Utilisation is the tensile trace over a weighted mean of strengths, and the trace is convex in S.
     trace = np.maximum(eigenvalues(S), 0.0).sum(axis=0)
-    near = Nearby(mesh.p.T, mesh.t.T, S, trace, cell.b_x_mm * cell.b_y_mm)
+    near = Nearby(disks_of(solution.problem.mesh, cell.b_x_mm * cell.b_y_mm), S, trace)
     first, last = hook_rings(solution, known, cell)
 
     def asked(value: Callable[[Array], Array], strengths: Array, ring: Extreme) -> tuple[Extreme, ...]:
@@ -184,25 +190,25 @@ def _largest_asked(
         return near.largest(value, most), largest_borne(solution, near, own, value, most), ring
 
     at_yield = asked(known.utilisation, known.first_yield, first)
-    return near, at_yield, asked(known.collapse_utilisation, known.collapse, last)
+    return near, at_yield, asked(known.collapse_utilisation, known.collapse, last) if collapse else ()
 
 
-def nearest(solution: CurtainSolution, at: Array) -> tuple[str, float]:
+def nearest(solution: CurtainState, at: Array) -> tuple[str, float]:
     """The support, load, obstacle, hole or edge nearest to a place `at` (2,) of the reference state, as "hole 1", and
     its distance there, mm; of equal distances the first in this order."""
     problem, mesh = solution.problem, solution.problem.mesh
     nodes, scene, edges = problem.disc.nodes, problem.scene, dict(mesh.edges)
     parts = {
-        f"support {n} ({held.name})": shapely.points(nodes[held.nodes])
-        for n, held in enumerate(problem.supports.held, 1)
+        f"support {held.number + 1} ({held.name})": shapely.points(nodes[held.nodes]) for held in problem.supports.held
     }
     parts |= {name: shapely.points([load.at]) for name, load in spot_loads(scene)}
     loads: list[tuple[int, EdgeLoad | Bar]] = [*enumerate(scene.of(EdgeLoad), 1), *enumerate(scene.of(Bar), 1)]
     line = {name: shapely.linestrings(mesh.mesh.p.T[mesh.mesh.facets[:, of].T]) for name, of in edges.items()}
     parts |= {f"load.{one.kind} {n} ({one.edge})": line[one.edge] for n, one in loads}
-    for n, one in enumerate(scene.obstacle, 1):
-        touched = np.linalg.norm(pushes_of(solution, n - 1), axis=1) > TOUCHES * float(np.abs(problem.force).sum())
-        parts[f"obstacle {n} ({one.name})"] = shapely.points(nodes[touched])
+    for one, push in zip(solution.obstacles, solution.pushed, strict=True):
+        touched = np.linalg.norm(push, axis=1) > TOUCHES * float(np.abs(problem.force).sum())
+        which = f"obstacle {one.number + 1}" if one.number >= 0 else "body"
+        parts[f"{which} ({one.obstacle.name})"] = shapely.points(nodes[touched])
     parts |= {name: line[name] for name in line if name.startswith("hole ")}
     sides = [name for name in line if name != "outline" and not name.startswith("hole")]
     parts |= {f"edge {name}": line[name] for name in (*sides, "outline")}
@@ -211,7 +217,7 @@ def nearest(solution: CurtainSolution, at: Array) -> tuple[str, float]:
     return name, away[name]
 
 
-def hook_rings(solution: CurtainSolution, known: Strength, cell: CellInfo) -> list[Extreme]:
+def hook_rings(solution: CurtainState, known: Strength, cell: CellInfo) -> list[Extreme]:
     """Utilisations at first yield and at collapse of the ring that bears most at a held or loaded point; 0 without any.
 
     Each of the rings there is pulled by two opposed forces, its share of the force and that of its neighbours
@@ -232,7 +238,7 @@ def _limits_of_ring(known: Strength, cell: CellInfo) -> tuple[float, float]:
     return ring.first_yield_N, ring.collapse_N
 
 
-def rings_at_points(solution: CurtainSolution) -> tuple[Array, Array]:
+def rings_at_points(solution: CurtainState) -> tuple[Array, Array]:
     """Places (k, 2) of rings that bear forces at points, as the curtain hangs, mm, and their utilisations (k,); none
     where the strength is not known."""
     by, nodes = judged_by(solution.problem.law), solution.problem.disc.nodes
@@ -243,7 +249,7 @@ def rings_at_points(solution: CurtainSolution) -> tuple[Array, Array]:
 
 
 def largest_borne(
-    solution: CurtainSolution, near: Nearby, S: Array, value: Callable[[Array], Array], most: float
+    solution: CurtainState, near: Nearby, S: Array, value: Callable[[Array], Array], most: float
 ) -> Extreme:
     """The largest value that any force at a point asks for, where the mesh is too coarse to tell; 0 without any.
 
@@ -267,7 +273,7 @@ def largest_borne(
     return best
 
 
-def _cells_at(solution: CurtainSolution, one: PointForce) -> np.ndarray:
+def _cells_at(solution: CurtainState, one: PointForce) -> np.ndarray:
     """Numbers of the mesh cells that touch a point, or whose corners lie in its patch; the nearest one if none do."""
     mesh = solution.problem.mesh
     distance = np.linalg.norm(mesh.mesh.p - one.at[:, None], axis=0)
@@ -275,7 +281,7 @@ def _cells_at(solution: CurtainSolution, one: PointForce) -> np.ndarray:
     return np.flatnonzero((distance[mesh.mesh.t] <= near).any(axis=0))
 
 
-def _direction(solution: CurtainSolution, S: Array, cells: np.ndarray, at: Array) -> Array | None:
+def _direction(solution: CurtainState, S: Array, cells: np.ndarray, at: Array) -> Array | None:
     """The reference direction (2,) of the larger principal line load of some cells, into the curtain; None if slack."""
     mesh, area = solution.problem.mesh.mesh, solution.problem.disc.cell_area[cells]
     S11, S12, S22 = area @ S[cells] / area.sum()

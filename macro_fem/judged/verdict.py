@@ -7,7 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from macro_fem.judged.strength import UNLOADED
+from macro_fem.curtain import CurtainState
+from macro_fem.judged.forces import support_forces
+from macro_fem.judged.strength import UNLOADED, largest_utilisation
 from macro_fem.scene.tables import Combination
 from macro_fem.summary import (
     CombinationRow,
@@ -15,6 +17,7 @@ from macro_fem.summary import (
     Decision,
     Envelope,
     LargestForce,
+    Limit,
     SupportForce,
     Utilisation,
 )
@@ -37,25 +40,33 @@ def asked_of_rings(summary: Utilisation) -> tuple[float, float, float]:
     return averages or 0.0, points or 0.0, summary.utilisation_of_hook_rings_max or 0.0
 
 
-def links(summary: CurtainNumbers) -> list[Link]:
+def severity(state: CurtainState) -> float:
+    """How near a curtain is to failure: 1 over the least factor of its `links`, or, where neither the strength of rings
+    nor a capacity is known, the largest force of a single point, N."""
+    supports, used = support_forces(state), largest_utilisation(state)
+    borne = [one.largest_nodal_force_N / one.capacity_N for one in supports if one.capacity_N]
+    return largest_force(supports) if used is None and not borne else max(used or 0.0, *borne, 0.0)
+
+
+def links(summary: Utilisation, supports: Sequence[SupportForce]) -> list[Link]:
     """The links of a curtain that are loaded and whose strength is known, the weakest first: rings and mesh at first
     yield, or at their limit where rings flow."""
+    limit = summary if isinstance(summary, Limit) else Limit()
     averages, points, ring = asked_of_rings(summary)
     at, mesh, found = summary.utilisation_max_at_mm or (), max(averages, points), list[Link]()
-    if summary.limit_of_mesh is not None:
-        found.append(Link(summary.limit_of_mesh, "limit of the mesh", "the mesh"))
-        if summary.limit_of_points is not None:
-            found.append(Link(summary.limit_of_points, "rings at points", "the ring at a held or loaded point"))
+    if limit.limit_of_mesh is not None:
+        found.append(Link(limit.limit_of_mesh, "limit of the mesh", "the mesh"))
+        if limit.limit_of_points is not None:
+            found.append(Link(limit.limit_of_points, "rings at points", "the ring at a held or loaded point"))
     elif mesh > UNLOADED:
         text, place = "the mesh", ""
         if mesh >= ring:
             place = _place(at, f"{_from(summary.first_yield_distance_mm or 0.0)} {summary.first_yield_near}")
             text = f"rings {place}"
         found.append(Link(1.0 / mesh, "mesh", text, place))
-    if ring > UNLOADED and summary.limit_of_mesh is None:
+    if ring > UNLOADED and limit.limit_of_mesh is None:
         place = _place(at) if ring > mesh else ""
         found.append(Link(1.0 / ring, summary.ring_at_hook or "ring", f"the {summary.ring_at_hook}", place))
-    supports = summary.support_forces
     for number, support in enumerate(supports, 1):
         capacity, force = support.capacity_N, support.largest_nodal_force_N
         if capacity is not None and force > UNLOADED * capacity:

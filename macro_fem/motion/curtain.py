@@ -3,66 +3,87 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from homogenize import MembraneLaw, with_material
 from macro_fem.curtain import (
+    NOT_UNIQUE,
     CurtainProblem,
-    CurtainSolution,
+    CurtainState,
     InnerForces,
     check_breadth,
     is_alike,
     make_problem,
+    placed_obstacles,
+    self_balanced,
     solve_problem,
 )
-from macro_fem.fem.assembly import internal_force, load_vector
+from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
-from macro_fem.judged import utilisation
-from macro_fem.motion.pace import Failed, Frame, Mover
-from macro_fem.motion.stage import Contacts, let_go, masses_of, scene_at, step_of, weights_of, winds_at
+from macro_fem.judged import judge_strength, links, severity, support_forces, utilisation
+from macro_fem.motion.pace import Failed, Frame, Kept, Mover
+from macro_fem.motion.stage import Contacts, masses_of, scene_at, step_of, weights_of, winds_at
 from macro_fem.motion.step import Account, Moment, end_of, solve_step, stored_energy
+from macro_fem.motion_summary import CurtainMotionSummary, MotionNumbers
 from macro_fem.output.files import curtain_mesh
 from macro_fem.output.images import Draw
 from macro_fem.output.space_view import views
 from macro_fem.scene.checks import check_sizes
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.obstacles import Sphere
+from macro_fem.scene.moving import Ball
+from macro_fem.scene.obstacles import PlacedObstacle, Sphere
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.support_kinds import Support
-from macro_fem.scene.tables import Item
 from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.path import PathResult, times
-from macro_fem.solvers.status import ROUNDING, Evidence
-from macro_fem.solvers.walls import TOUCHED, Walls
+from macro_fem.solvers.status import ROUNDING
+from macro_fem.solvers.walls import TOUCHED
 from rve.common import Array, NotConverged, digits
 from rve.common.files import write_mesh_file
 
 REST = 10.0
 """mm that nodes at rest may go in a step before balls are looked at again."""
+AT_IMPACTS = (
+    "whether it holds at impacts is not known: rigid rings take each in one step ({}), and forces there grow with "
+    'shorter steps; kind = "elastic" under [solver] gives them'
+)
+"""What the verdict of rigid rings does not know."""
 GRAZED = 0.05
 """Depth of ways of points through a body over half its width with which a step is halved; those that meet it: 0.015."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class MotionFrame(Frame):
-    """A curtain of nodes and bodies: line loads P (nq, d, 2) and S (nq, 3) in N/mm, forces of the supports on it
-    (n_nodes, d) in N, and the relative gap and half-spaces of the step."""
+class MotionFrame(Frame, CurtainState):
+    """A curtain of nodes and bodies: forces (n_nodes, d) of the supports on it and (k, n_nodes, d) of each of the
+    `obstacles`, N, and the relative gap and half-spaces of the step."""
 
-    P: Array
-    S: Array
     supports: Array
+    pushes: Array
+    balls: tuple[Ball, ...]
     relative_gap: float = 0.0
-    problem: CurtainProblem
     cones: Cones | None = None
+
+    reactions = property(lambda self: self.supports)
+    pushed = property(lambda self: self.pushes)
+
+    @property
+    def obstacles(self) -> list[PlacedObstacle]:
+        places = self.moment.x[len(self.x) :]
+        balls = (Sphere(tuple(at), one.radius, name=one.name) for one, at in zip(self.balls, places, strict=True))
+        return placed_obstacles(self.problem) + [PlacedObstacle(-1 - k, one, 1.0, 3) for k, one in enumerate(balls)]
+
+    @property
+    def blown(self) -> Array:
+        if not self.problem.winds:
+            return np.zeros_like(self.x)
+        blown, blocks = winds_at(self.problem, self.moment.v, self.moment)
+        return blown - times(blocks, self.moment.v[: len(self.x)])
 
     @property
     def seen(self) -> tuple[Array, Array, Array, float]:
-        disc = self.problem.disc
-        x, share = padded(self.moment.x[: disc.n_nodes]), load_vector(disc, np.array([1.0]))[:, 0]
-        return x, share, self.supports, self.relative_gap
+        share = load_vector(self.problem.disc, np.array([1.0]))[:, 0]
+        return padded(self.x), share, self.supports, self.relative_gap
 
 
 class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
@@ -76,7 +97,6 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         self.mesh = build_mesh(scene_at(scene, 0.0), self.law.cell)
         self.what, self.size = f"{self.mesh.mesh.t.shape[1]} cells", self.mesh.size
         self.is_rigid = not scene.solver.is_elastic
-        self.told: tuple[MotionFrame, CurtainSolution] | None = None
         for ball in self.balls:
             check_breadth(scene, f"[[body]] {ball.name}", ball.radius, self.mesh.longest_side)
 
@@ -96,7 +116,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             if hung.status != "converged":
                 words = f"{hung.status}: {hung.message} (load steps do not go with [motion]; start = 'reference' does)"
                 raise NotConverged(f"{scene.source}: the curtain at rest at t = 0 is {words}")
-            x, P, S, cones, forces = hung.x, hung.P, hung.S, hung.cones, hung.reactions
+            x, inner, cones, forces, pushed = hung.x, hung.inner, hung.cones, hung.reactions, hung.pushed
         else:
             X = problem.disc.nodes
             x = in_space_of(X, problem.fem.d) if scene.start is None else scene.start.places(X)
@@ -107,13 +127,25 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
                     f"[motion] start = 'reference': supports hold points up to {digits(np.abs(away).max(), 4)} mm from "
                     "where they are there; use 'hung', or a history that begins there"
                 )
-            P = np.zeros((problem.disc.n_points, problem.fem.d, 2))
-            S, cones, forces = np.zeros((len(P), 3)), None, np.zeros_like(x)
+            n, d = problem.disc.n_points, problem.fem.d
+            inner, cones, forces = InnerForces(np.zeros((n, d, 2)), np.zeros((n, 3))), None, np.zeros_like(x)
+            pushed = np.zeros((len(scene.obstacle), *x.shape))
         place = np.vstack([x, *[np.array([ball.at]) for ball in balls]])
         Contacts(problem, balls).check_start(place, self.motion.start == "hung")
         masses, weights = masses_of(problem, balls), weights_of(problem, balls)
         moment, account = self.at_start(place, masses, weights, stored_energy(problem, x) or 0.0)
-        return MotionFrame(moment=moment, account=account, P=P, S=S, supports=forces, problem=problem, cones=cones)
+        pushed = np.concatenate([pushed, np.zeros((len(balls), *x.shape))])
+        return MotionFrame(
+            moment=moment,
+            account=account,
+            problem=problem,
+            x=x,
+            inner=InnerForces(inner.P, inner.S),
+            supports=forces,
+            pushes=pushed,
+            balls=balls,
+            cones=cones,
+        )
 
     def next_frame(self, frame: MotionFrame, before: Moment | None, h: float) -> MotionFrame:
         now, balls = frame.moment, self.balls
@@ -131,77 +163,82 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             raise Failed("pierced", words)
         pushed, moves, touched = contacts.work(walls, result.wall_forces, now.x)
         end = replace(end_of(problem, fem, step, result, walls), pushed=pushed, moves=moves, touched=touched)
+        reached = step.finish(frame.account, end, frame.forces)
         return MotionFrame(
-            **step.finish(frame.account, end, frame.forces),
+            **vars(reached),
             iterations=result.iterations,
-            P=result.P,
-            S=result.S,
-            supports=end.supports[:n],
-            relative_gap=result.evidence.gap,
             problem=problem,
+            x=reached.moment.x[:n],
+            inner=InnerForces(result.P, result.S),
+            supports=end.supports[:n],
+            pushes=contacts.pushes(walls, result.wall_forces),
+            balls=balls,
+            relative_gap=result.evidence.gap,
             cones=result.cones,
         )
 
     def peaks(self, frame: MotionFrame) -> list[float]:
-        """The largest principal line load, N/mm, and utilisation of its rings, nan where it is not known."""
-        solution = self.as_solution(frame)
-        used = utilisation(solution)
-        load = float(solution.principal()[0].max(initial=0.0))
-        return [load, np.nan if used is None else float(used.max(initial=0.0))]
+        """The largest principal line load, N/mm, pointwise utilisation of rings, nan where it is not known, and the
+        `severity`."""
+        used = utilisation(frame)
+        load = float(frame.principal()[0].max(initial=0.0))
+        return [load, np.nan if used is None else float(used.max(initial=0.0)), severity(frame)]
 
-    def summary(self, last: MotionFrame, t: Array, peaks: Array) -> dict[str, Any]:
-        found: dict[str, Any] = {}
-        for name, unit, values in (("line_load", "_N_per_mm", peaks[:, 0]), ("utilisation", "", peaks[:, 1])):
-            if np.isfinite(values).all():
-                found |= {f"peak_{name}{unit}": float(values.max()), f"peak_{name}_at_s": float(t[values.argmax()])}
-        disc = last.problem.disc
-        found |= {"cells": disc.n_cells, "element": disc.element, "law": last.problem.law.name}
-        return found | {"notes": list(self.mesh.notes)}
+    def summary(
+        self, told: MotionNumbers, last: MotionFrame, weakest: MotionFrame, t: Array, peaks: Array
+    ) -> CurtainMotionSummary:
+        load, used, _ = peaks.T
+        is_known, disc, strength = bool(np.isfinite(used).all()), last.problem.disc, judge_strength(weakest)
+        supports, notes = support_forces(weakest), [told.message] * (told.status != "converged")
+        least = next(iter(links(strength, supports)), None)
+        if self.is_rigid and (struck := told.impacts):
+            at = f"{struck} impact{'s' * (struck > 1)}, the largest at {told.largest_impact_at_s:.6g} s"
+            notes.append(AT_IMPACTS.format(at))
+        if self.is_rigid and self_balanced(weakest.problem, weakest.x):
+            notes.append(NOT_UNIQUE)
+        is_open = told.status != "converged" or (self.is_rigid and told.impacts > 0)
+        factor = None if least is None else least.factor
+        return CurtainMotionSummary(
+            **told.parts(),
+            **strength.parts(),
+            holds=None if factor is None or (is_open and factor >= 1.0) else factor >= 1.0,
+            smallest_factor=factor,
+            at_s=weakest.moment.t,
+            weakest=least and least.name,
+            weakest_place=least and least.place,
+            verdict_note="; ".join(notes) or None,
+            support_forces=supports,
+            peak_line_load_N_per_mm=float(load.max()),
+            peak_line_load_at_s=float(t[load.argmax()]),
+            peak_utilisation=float(used.max()) if is_known else None,
+            peak_utilisation_at_s=float(t[used.argmax()]) if is_known else None,
+            cells=disc.n_cells,
+            element=disc.element,
+            law=last.problem.law.name,
+        )
 
-    def pack(self, frame: MotionFrame) -> dict[str, Any]:
+    @property
+    def notes(self) -> list[str]:
+        return list(self.mesh.notes)
+
+    def pack(self, frame: MotionFrame) -> Kept:
         cones = {} if frame.cones is None else {f"cone_{name}": one for name, one in vars(frame.cones).items()}
-        kept = {"P": frame.P, "S": frame.S, "supports": frame.supports, "relative_gap": frame.relative_gap} | cones
+        of_law: Kept = {"P": frame.P, "S": frame.S, "supports": frame.supports, "pushes": frame.pushes}
+        kept = of_law | {"relative_gap": frame.relative_gap} | cones
         return {name: one for name, one in kept.items() if one is not None}
 
-    def unpack(self, moment: Moment, account: Account, kept: dict[str, Any]) -> MotionFrame:
+    def unpack(self, moment: Moment, account: Account, kept: Kept) -> MotionFrame:
         cones = {name.removeprefix("cone_"): kept.pop(name) for name in list(kept) if name.startswith("cone_")}
-        found = MotionFrame(moment=moment, account=account, problem=self.at(moment.t)[0], **kept)
+        problem, inner = self.at(moment.t)[0], InnerForces(kept.pop("P"), kept.pop("S"))
+        x, balls = moment.x[: problem.disc.n_nodes], self.balls
+        found = MotionFrame(moment=moment, account=account, x=x, balls=balls, problem=problem, inner=inner, **kept)
         return replace(found, cones=Cones(**cones)) if cones else found
 
-    def as_solution(self, frame: MotionFrame) -> CurtainSolution:
-        """`_solution`, of the last frame without computing it again."""
-        if self.told is None or self.told[0] is not frame:
-            self.told = frame, self._solution(frame)
-        return self.told[1]
-
-    def _solution(self, frame: MotionFrame) -> CurtainSolution:
-        """The curtain at a frame, with balls as obstacles of the scene and without supports that have let go.
-
-        Its load is what line loads and supports balance: outer forces, pushes, and those of inertia. Winds with a speed
-        press its cells by the velocity relative to them.
-        """
-        problem, n = frame.problem, frame.problem.disc.n_nodes
-        gone = let_go(self.scene, frame.moment.t)
-        kept: list[Item] = [item for number, item in enumerate(problem.scene.support) if number not in gone]
-        kept += [item for item in problem.scene.items if not isinstance(item, Support)]
-        for ball, place in zip(self.balls, frame.moment.x[n:], strict=True):
-            kept.append(Sphere(tuple(place), ball.radius, name=ball.name))
-        scene = replace(problem.scene, items=tuple(kept))
-        dead, wind = internal_force(problem.disc, frame.P) - frame.supports, None
-        if problem.winds:
-            blown, blocks = winds_at(problem, frame.moment.v, frame.moment)
-            blown -= times(blocks, frame.moment.v[:n])
-            wind = (blown / load_vector(problem.disc, np.array([1.0])))[problem.disc.cell_dofs].mean(axis=1)
-            dead -= load_vector(problem.disc, wind)
-        told = replace(problem, scene=scene, dead=dead, wind=wind, walls=Walls.none(problem.force.shape))
-        inner, asked = InnerForces(frame.P, frame.S, 0.0, np.zeros(0)), Evidence(1.0, 1.0, 1.0)
-        return CurtainSolution(told, "converged", asked, frame.moment.x[:n], inner, 0.0, 0.0, frame.iterations, 0.0)
-
     def write_vtu(self, path: Path, frame: MotionFrame) -> None:
-        write_mesh_file(path, curtain_mesh(self.as_solution(frame)))
+        write_mesh_file(path, curtain_mesh(frame))
 
     def views(self, frames: Sequence[MotionFrame]) -> list[Draw]:
-        return views([self.as_solution(one) for one in frames])
+        return views(frames)
 
 
 def _check(found: PathResult, t: float) -> None:

@@ -10,13 +10,16 @@ from typing import Any, Generic, Literal, TypeVar
 import numpy as np
 
 from macro_fem.motion.stage import let_go, scene_at
-from macro_fem.motion.step import Account, Forces, Moment, kinetic_energy, predicted
+from macro_fem.motion.step import Account, Moment, Reached, kinetic_energy, predicted
+from macro_fem.motion_summary import MotionNumbers, MotionSummary
 from macro_fem.output.images import Draw
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import LiveLoad, Timed
-from rve.common import Array, tell
+from rve.common import Array, part_of, time_left
 
+Kept = dict[str, Any]
+"""Numbers and arrays by name, as a file of numpy has them."""
 COLUMNS = (
     *("t_s", "mean_x_mm", "mean_y_mm", "mean_z_mm", "lowest_point_mm", "kinetic_N_mm", "potential_N_mm", "stored_N_mm"),
     *("work_N_mm", "lost_by_scheme_N_mm", "lost_by_locking_N_mm", "lost_by_damping_N_mm", "support_force_N"),
@@ -63,20 +66,13 @@ class Failed(Exception):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Frame(ABC):
-    """What a run knows of a moment: places and velocities, the energy account, and of its step the forces at its end,
-    gain, late work and rebound in N mm (`TimeStep.finish`), and how many iterations it took.
+class Frame(Reached, ABC):
+    """What a run knows of a moment, and how many iterations its step took.
 
     How it goes on: the next step `h`, s, and whether that is Euler's, as at the start; the moment before its own, None
     at the start; `most`, the largest kinetic energy so far, N mm.
     """
 
-    moment: Moment
-    account: Account
-    forces: Forces | None = None
-    gain: float = 0.0
-    late: float = 0.0
-    rebound: float = 0.0
     iterations: int = 0
     h: float = 0.0
     is_euler: bool = True
@@ -144,18 +140,24 @@ class Mover(ABC, Generic[F, A]):
 
     @abstractmethod
     def peaks(self, frame: F) -> list[float]:
-        """Further numbers of a frame, of which the summary is made."""
+        """Further numbers of a frame, of which the summary is made; that of its weakest moment is largest at last."""
 
     @abstractmethod
-    def summary(self, last: F, t: Array, peaks: Array) -> dict[str, Any]:
-        """What the summary says of the last frame and the `peaks` (m, k) at the times t (m,)."""
+    def summary(self, told: MotionNumbers, last: F, weakest: F, t: Array, peaks: Array) -> MotionSummary:
+        """What is told of any motion, with what the last and the weakest frame and the `peaks` (m, k) at the times t
+        (m,) say."""
+
+    @property
+    @abstractmethod
+    def notes(self) -> list[str]:
+        """What of the scene was changed to fit it."""
 
     @abstractmethod
-    def pack(self, frame: F) -> dict[str, Any]:
+    def pack(self, frame: F) -> Kept:
         """Arrays by name, what a run that goes on needs of a frame beside its moment and account."""
 
     @abstractmethod
-    def unpack(self, moment: Moment, account: Account, kept: dict[str, Any]) -> F:
+    def unpack(self, moment: Moment, account: Account, kept: Kept) -> F:
         """The frame of `pack`."""
 
     @abstractmethod
@@ -214,16 +216,21 @@ class Mover(ABC, Generic[F, A]):
         """
         frame = start or replace(self.first_frame(), h=self.first_step)
         end, near, least = self.motion.duration, self.near, PACE.smallest * self.first_step
+        begun, first, count = time.monotonic(), frame.moment.t, 0
         releases = {item.release for item in self.scene.support if item.release is not None}
         timed = self.scene.of(Timed) if self.motion.step is None else ()
         kinks = {t for item in timed for t, _ in item.history}
         yield frame
         while (t := frame.moment.t) < end - near:
-            tell(f"{self.what} in motion, {t:.4g} of {end:.4g} s")
+            share = (t - first) / (end - first)
+            of = f" of about {count + max(1, round((end - t) / frame.h))}" if frame.h > 0.0 else ""
+            done = f"step {count + 1}{of}, {t:.4g} of {end:.4g} s"
+            count += 1
             if any(abs(t - release) <= near for release in releases):
                 frame = replace(frame, is_euler=True)
             stops = [one for one in releases if one > t + near] + [max(k, t + least) for k in kinks if k > t + near]
-            frame = self._accurate(frame, min([end, *stops]) - t)
+            with part_of(f"{self.what} in motion, {done}; {time_left(begun, share)}"):
+                frame = self._accurate(frame, min([end, *stops]) - t)
             yield frame
 
     def _accurate(self, frame: F, left: float) -> F:

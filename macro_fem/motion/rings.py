@@ -9,15 +9,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from macro_fem.motion.pace import End, Failed, Frame, Mover
+from macro_fem.motion.pace import End, Failed, Frame, Kept, Mover
 from macro_fem.motion.stage import TONNE, relative_wind, scene_at
 from macro_fem.motion.step import Account, Moment, StepEnd, TimeStep, predicted
+from macro_fem.motion_summary import MotionNumbers, RingMotionSummary
 from macro_fem.output.images import Draw
-from macro_fem.rings.every_ring import EveryRing
+from macro_fem.rings.every_ring import EveryRing, ring_supports
 from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
 from macro_fem.scene.loads import BREEZE, PER_MM2, areal_mass
 from macro_fem.scene.scene import Scene
@@ -27,6 +27,11 @@ from rve.finite import FiniteSolution, HalfSpace, RoundBody, ring_places, slack_
 
 NEAR = 1e-6
 """Rings within this part of r1 of where supports hold them are there."""
+NOT_JUDGED = (
+    "whether the rings hold is not known: every ring is rigid, and contact forces at impacts grow with shorter steps; "
+    'macro_fem run with kind = "elastic" under [solver] judges the strength of the rings of a law'
+)
+"""What is said of a verdict of every ring in motion."""
 KEPT = ("reaction", "wall_force", "kkt_residual")
 """What motion.npz has of the rings of a frame, beside their contacts."""
 
@@ -148,7 +153,7 @@ class MovingRings(Mover[RingFrame, RingScene]):
         supports = np.concatenate([rings.reaction, none])
         told = StepEnd(ring_places(rings), supports, end.pushes, pushed=pushed, moves=moves, touched=end.touched)
         done = step.finish(frame.account, told, frame.forces)
-        return RingFrame(**done, iterations=rings.iterations, rings=rings, asked=asked)
+        return RingFrame(**vars(done), iterations=rings.iterations, rings=rings, asked=asked)
 
     def _check_balls(self, rings: FiniteSolution, t: float) -> None:
         """Failed where a ball would meet what balls beside a curtain by a law meet, and those beside rings do not."""
@@ -165,28 +170,43 @@ class MovingRings(Mover[RingFrame, RingScene]):
                     raise Failed("stalled", f"{words}: beside rings balls meet rings alone; end there, or ask a law")
 
     def peaks(self, frame: RingFrame) -> list[float]:
-        """The largest contact force in N, the least gap in mm, whether links are intact, iterations."""
-        contacts = frame.rings.contacts
-        return [float(contacts.force.max(initial=0.0)), contacts.min_gap_mm, contacts.links_intact, frame.iterations]
+        """The largest contact force in N, the least gap in mm, whether links are intact, iterations, and the largest
+        force of a support on a ring, N."""
+        contacts, held = frame.rings.contacts, np.linalg.norm(frame.rings.reaction, axis=1)
+        own = [float(contacts.force.max(initial=0.0)), contacts.min_gap_mm, contacts.links_intact, frame.iterations]
+        return [*own, float(held.max(initial=0.0))]
 
-    def summary(self, last: RingFrame, t: Array, peaks: Array) -> dict[str, Any]:
-        force, gap, intact, iterations = peaks.T
-        return {
-            "peak_contact_force_N": float(force.max()),
-            "peak_contact_force_at_s": float(t[force.argmax()]),
-            "ring_count": len(last.rings.centre),
-            "centres": "space" if last.rings.is_space else "plane",
-            "min_gap_mm": float(gap.min()),
-            "links_intact": bool(intact.all()),
-            "iterations": int(iterations.sum()),
-            "notes": list(self.first.notes),
-        }
+    def summary(
+        self, told: MotionNumbers, last: RingFrame, weakest: RingFrame, t: Array, peaks: Array
+    ) -> RingMotionSummary:
+        force, gap, intact, iterations, _ = peaks.T
+        return RingMotionSummary(
+            **told.parts(),
+            holds=None,
+            smallest_factor=None,
+            weakest=None,
+            weakest_place=None,
+            at_s=weakest.moment.t,
+            verdict_note=NOT_JUDGED,
+            support_forces=ring_supports(weakest.asked, weakest.rings),
+            peak_contact_force_N=float(force.max()),
+            peak_contact_force_at_s=float(t[force.argmax()]),
+            ring_count=len(last.rings.centre),
+            centres="space" if last.rings.is_space else "plane",
+            min_gap_mm=float(gap.min()),
+            links_intact=bool(intact.all()),
+            iterations=int(iterations.sum()),
+        )
 
-    def pack(self, frame: RingFrame) -> dict[str, Any]:
+    @property
+    def notes(self) -> list[str]:
+        return list(self.first.notes)
+
+    def pack(self, frame: RingFrame) -> Kept:
         rings = frame.rings
         return vars(rings.contacts) | {name: getattr(rings, name) for name in KEPT}
 
-    def unpack(self, moment: Moment, account: Account, kept: dict[str, Any]) -> RingFrame:
+    def unpack(self, moment: Moment, account: Account, kept: Kept) -> RingFrame:
         asked, n = self.at(moment.t), len(self.first.mesh.X)
         axes, slack = moment.x[n : 2 * n], self.slack
         bodies = [body.moved(place) for body, place in zip(self.bodies, moment.x[2 * n :], strict=True)]

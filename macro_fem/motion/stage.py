@@ -224,6 +224,12 @@ class Contacts:
             )  # less a ball's radius
         return pushed, moves.reshape(-1, 3), touched
 
+    def pushes(self, walls: Walls, force: Array) -> Array:
+        """Forces (k, n_nodes, d) of each obstacle, then of each ball, on the nodes of the curtain, N."""
+        owners = [*(one.number for one in self.obstacles), *(-1 - k for k in range(len(self.balls)))]
+        each = [walls.nodal(np.where(walls.owner == one, force, 0.0))[: self.n] for one in owners]
+        return np.reshape(each, (len(each), self.n, self.problem.fem.d))
+
 
 def pushed_points(solution: CurtainSolution, carries: float) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
     """Of small motions w of the nodes in space (3 n_nodes,): rows normal.w of the points that obstacles push, by more

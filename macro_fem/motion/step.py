@@ -37,7 +37,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -118,6 +117,24 @@ class Forces:
         return Forces(*(0.5 * (one + two) for one, two in pairs))
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Reached:
+    """What is known at the end of a step: the moment, the account, the forces, and what tells of impacts, N mm.
+
+    gain: the work of contacts and a rigid law by the mean of their forces at both ends: about 0 in smooth motion,
+    positive where the differences throw back what has met something. rebound: that in one more such step at the last
+    velocities: positive where what touches or is taut leaves while it is still pushed. late: the work less that by
+    forces at the end alone.
+    """
+
+    moment: Moment
+    account: Account
+    forces: Forces | None = None
+    gain: float = 0.0
+    late: float = 0.0
+    rebound: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class TimeStep:
     """A step of h s from `now` of nodes of masses (n,) in N s2/mm under forces (n, d) in N at its end: Euler's without
@@ -189,15 +206,8 @@ class TimeStep:
         momentum = b * float((self.mass[:, None] * np.abs(V)).sum())
         return Inertia(fem, W, x_hat, momentum, kinetic_energy(self.mass, V))
 
-    def finish(self, last: Account, end: StepEnd, before: Forces | None = None) -> dict[str, Any]:
-        """Of a frame the moment, the account, the forces, and what its step tells of impacts, given the account and the
-        forces at its start.
-
-        The gain, in N mm, is the work of contacts and a rigid law by the mean of their forces at both ends: about 0 in
-        smooth motion, positive where the differences throw back what has met something. The rebound is that in one
-        more such step at the last velocities: positive where what touches or is taut leaves while it is still pushed.
-        late: the work less that by forces at the end alone.
-        """
+    def finish(self, last: Account, end: StepEnd, before: Forces | None = None) -> Reached:
+        """What is known at the end of this step, given the account and the forces at its start."""
         dx, v, is_rigid = end.x - self.now.x, self.velocity(end.x), end.stored is None
         kinetic, damped = kinetic_energy(self.mass, v), float((self.resist * dx * dx).sum()) / self.h
         dashpot, inner = float((self.resist * v * dx).sum()), float((end.inner * dx).sum())
@@ -222,14 +232,14 @@ class TimeStep:
             lost_by_locking=last.lost_by_locking + end.touched + (inner if is_rigid else 0.0),
             lost_by_damping=last.lost_by_damping + damped,
         )
-        return {
-            "moment": Moment(self.now.t + self.h, end.x, v),
-            "account": account,
-            "forces": forces,
-            "gain": float((mean.push * dx).sum()) - moves,
-            "late": work - late,
-            "rebound": self.h * float((push * v).sum()) - moved,
-        }
+        return Reached(
+            moment=Moment(self.now.t + self.h, end.x, v),
+            account=account,
+            forces=forces,
+            gain=float((mean.push * dx).sum()) - moves,
+            late=work - late,
+            rebound=self.h * float((push * v).sum()) - moved,
+        )
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from macro_fem.curtain import CurtainSolution
+from macro_fem.curtain import CurtainState
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import padded
 from macro_fem.judged import spot_loads
@@ -15,18 +15,18 @@ MOST_ARROWS = 16
 """Forces of an edge, of all obstacles and of wind are summed up into this many arrows, a power of two."""
 
 
-def pulls(solution: CurtainSolution) -> tuple[Array, Array]:
+def pulls(solution: CurtainState) -> tuple[Array, Array]:
     """Places (k, 3) and forces (k, 3) of supports: those at points, and those of edges summed up."""
     points = [held.nodes for held in solution.problem.supports.held if not len(held.facets)]
     return _summed_up(solution, solution.reactions, *points)
 
 
-def pushes(solution: CurtainSolution) -> tuple[Array, Array]:
+def pushes(solution: CurtainState) -> tuple[Array, Array]:
     """Places (k, 3) and forces (k, 3) of obstacles on the curtain, summed up."""
-    return _summed_up(solution, solution.pushes)
+    return _summed_up(solution, solution.pushed.sum(axis=0))
 
 
-def point_loads(solution: CurtainSolution) -> tuple[Array, Array]:
+def point_loads(solution: CurtainState) -> tuple[Array, Array]:
     """Places (k, 3) and forces (k, 3) of the loads at points and on patches."""
     problem, nodal = solution.problem, np.zeros((len(solution.x), 3))
     for _, load in spot_loads(problem.scene):
@@ -34,18 +34,16 @@ def point_loads(solution: CurtainSolution) -> tuple[Array, Array]:
     return _summed_up(solution, nodal, np.flatnonzero(nodal.any(axis=1)))
 
 
-def winds(solution: CurtainSolution) -> tuple[Array, Array]:
-    """Places (k, 3) and forces (k, 3) of wind, summed up; in motion of pressure that does not follow."""
+def winds(solution: CurtainState) -> tuple[Array, Array]:
+    """Places (k, 3) and forces (k, 3) of wind, summed up."""
     problem, scene = solution.problem, solution.problem.scene
-    nodal = np.zeros(problem.force.shape)
-    if problem.winds and problem.wind is not None:
-        nodal += load_vector(problem.exact, problem.wind)
+    nodal = solution.blown.copy()
     for wind in (one for one in scene.of(Wind) if not one.is_shaped):
         nodal += problem.factor * load_vector(problem.disc, wind_per_area(wind, scene, None))
     return _summed_up(solution, nodal)
 
 
-def _summed_up(solution: CurtainSolution, forces: Array, *points: np.ndarray) -> tuple[Array, Array]:
+def _summed_up(solution: CurtainState, forces: Array, *points: np.ndarray) -> tuple[Array, Array]:
     """Places and sizes of nodal forces (n_nodes, d): each of the `points`, and of other nodes the sums of groups."""
     x, forces = padded(solution.x), padded(forces)
     size, single = np.linalg.norm(forces, axis=1) + 1e-300, np.unique(np.concatenate([np.zeros(0, int), *points]))

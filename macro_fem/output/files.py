@@ -9,7 +9,7 @@ import numpy as np
 from homogenize.laws import PlasticLaw
 from macro_fem.bounds.interval import CurtainBounds
 from macro_fem.bounds.limit import CurtainLimit
-from macro_fem.curtain import CurtainProblem, CurtainSolution, forces_by, forces_note, wind_drags
+from macro_fem.curtain import CurtainProblem, CurtainSolution, CurtainState, forces_by, forces_note, wind_drags
 from macro_fem.fem.cells import counterclockwise, padded
 from macro_fem.judged import (
     collapse_at_points,
@@ -103,7 +103,7 @@ def summarize(solution: CurtainSolution) -> CurtainNumbers:
 
 def with_weakest(found: CurtainNumbers) -> CurtainNumbers:
     """The numbers with what gives first, of what is known and loaded."""
-    least = next(iter(links(found)), None)
+    least = next(iter(links(found, found.support_forces)), None)
     if least is None:
         return found
     return replace(found, weakest=least.name, weakest_factor=least.factor, weakest_place=least.place)
@@ -223,7 +223,7 @@ def collection(entries: Sequence[tuple[float, int, str]]) -> str:
     return head + "\n".join(lines) + "\n  </Collection>\n</VTKFile>\n"
 
 
-def curtain_mesh(solution: CurtainSolution, extra: dict[str, Array] | None = None) -> Any:
+def curtain_mesh(solution: CurtainState, extra: dict[str, Array] | None = None) -> Any:
     """The curtain for meshio: displacement, forces of supports, strain, stress, line loads, taut or slack per cell.
 
     Points are those of the reference state, to be warped by `displacement_mm`; `direction_1` is a direction in the
@@ -234,6 +234,9 @@ def curtain_mesh(solution: CurtainSolution, extra: dict[str, Array] | None = Non
     problem, mesh, disc = solution.problem, solution.problem.mesh.mesh, solution.problem.disc
     values, direction = solution.principal()
     used = utilisation(solution)
+    flow = (
+        solution.stretch_beyond_locking if isinstance(solution, CurtainSolution) and solution.tau is not None else None
+    )
     data = {
         "E_11_12_22": disc.cell_mean(solution.E),
         "S_11_12_22_N_per_mm": disc.cell_mean(solution.S),
@@ -242,15 +245,15 @@ def curtain_mesh(solution: CurtainSolution, extra: dict[str, Array] | None = Non
         "direction_1": padded(np.einsum("cij,cj->ci", disc.cell_mean(solution.F), direction)),
         "state_0_slack_1_wrinkled_2_taut": solution.state(),
         **({} if used is None else {"utilisation": used}),
-        **({} if solution.tau is None else {"plastic_strain": disc.cell_mean(solution.stretch_beyond_locking)}),
+        **({} if flow is None else {"plastic_strain": disc.cell_mean(flow)}),
         **(extra or {}),
     }
     point_data = {
         "displacement_mm": padded(solution.corners) - padded(mesh.p.T),
         "support_force_N": padded(corner_forces(problem, solution.reactions)),
     }
-    if len(problem.walls):
-        point_data["obstacle_force_N"] = padded(corner_forces(problem, solution.pushes))
+    if solution.obstacles:
+        point_data["obstacle_force_N"] = padded(corner_forces(problem, solution.pushed.sum(axis=0)))
     cells = [("triangle", counterclockwise(mesh.p.T, mesh.t.T))]
     each = {name: [np.asarray(values, dtype=float)] for name, values in data.items()}
     return meshio.Mesh(padded(mesh.p.T), cells, point_data, each)

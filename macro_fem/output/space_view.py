@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from macro_fem.curtain import CurtainSolution, placed_obstacles
+from macro_fem.curtain import CurtainSolution, CurtainState
 from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
 from macro_fem.output.arrows import FORCES
 from macro_fem.output.images import Draw
@@ -33,7 +33,7 @@ SHRUNK, REACH = 0.003, 0.25
 """Obstacles are drawn smaller by this part of the size of the curtain, to see it on them, and cut off this far away."""
 
 
-def line_load_scale(steps: Sequence[CurtainSolution]) -> Scale:
+def line_load_scale(steps: Sequence[CurtainState]) -> Scale:
     """One scale for the largest principal line loads of all steps."""
     values = np.concatenate([step.principal()[0][:, 0] for step in steps])
     return Scale.of(values, "line load, N/mm of reference")
@@ -59,7 +59,7 @@ class PictureFrame:
     lowest: float
 
     @classmethod
-    def of(cls, steps: Sequence[CurtainSolution]) -> PictureFrame:
+    def of(cls, steps: Sequence[CurtainState]) -> PictureFrame:
         """The frame of one solution, or of all load steps."""
         each = [[forces(step) for step in steps] for _, _, forces, _ in FORCES]  # places and forces (n, 3)
         sizes = ([np.linalg.norm(force, axis=1).max(initial=0.0) for _, force in kind] for kind in each)
@@ -72,13 +72,13 @@ class PictureFrame:
         around = box_of(np.concatenate([room, at + arrow * force]))
         lowest = float(min(around[0, 1], room[0, 1] - 0.06 * size))
         frame = cls(line_load_scale(steps), room, around, size, arrow, largest, lowest)
-        bodies = [obstacle_mesh(one, frame, lowest) for step in steps for one in placed_obstacles(step.problem)]
+        bodies = [obstacle_mesh(one, frame, lowest) for step in steps for one in step.obstacles]
         bounds = [np.reshape(one.bounds, (3, 2)).T for one in bodies if one is not None]
         return replace(frame, around=box_of(np.concatenate([around, *bounds])))
 
 
 def draw_curtain(
-    solution: CurtainSolution, plotter: Plotter | None = None, frame: PictureFrame | None = None,
+    solution: CurtainState, plotter: Plotter | None = None, frame: PictureFrame | None = None,
     direction: tuple[float, float, float] = space.THREE_QUARTERS,
 ) -> Plotter:  # fmt: skip
     """Draw the curtain with all around it into the active panel of a plotter, by default a new one; the plotter.
@@ -87,7 +87,7 @@ def draw_curtain(
     """
     plotter = space.new_plotter() if plotter is None else plotter
     frame = PictureFrame.of([solution]) if frame is None else frame
-    placed, curtain = placed_obstacles(solution.problem), sheet(solution, frame.scale)
+    placed, curtain = solution.obstacles, sheet(solution, frame.scale)
     floors = [one.obstacle.height + one.shift[1] for one in placed if isinstance(one.obstacle, Floor)]
     ground = float(max(floors, default=frame.lowest))
     space.add(plotter, "curtain", curtain, frame.scale)
@@ -110,7 +110,7 @@ def draw_curtain(
     return plotter
 
 
-def views(steps: Sequence[CurtainSolution]) -> list[Draw]:
+def views(steps: Sequence[CurtainState]) -> list[Draw]:
     """How to draw solutions on one scale and with one camera."""
     frame = PictureFrame.of(steps)
     return [partial(draw_curtain, one, frame=frame) for one in steps]
@@ -124,7 +124,7 @@ def title(solution: CurtainSolution) -> str:
     return f"total load {digits(load, 4)} N, {height}" + (f", |z| up to {out:.1f} mm" if out > 0.05 else "")
 
 
-def sheet(solution: CurtainSolution, scale: Scale) -> PolyData:
+def sheet(solution: CurtainState, scale: Scale) -> PolyData:
     """The deformed curtain with the largest principal line load at its corners."""
     mesh = solution.problem.mesh.mesh
     cells, values = counterclockwise(mesh.p.T, mesh.t.T), solution.principal()[0][:, 0]
@@ -164,12 +164,13 @@ def obstacle_mesh(placed: PlacedObstacle, frame: PictureFrame, ground: float) ->
     return None
 
 
-def add_supports(plotter: Plotter, solution: CurtainSolution, size: float) -> None:
+def add_supports(plotter: Plotter, solution: CurtainState, size: float) -> None:
     """Held edges and tracks as lines, held points, hooks and runners as balls."""
     problem = solution.problem
     mesh, corners, x = problem.mesh.mesh, padded(solution.corners), padded(solution.x)
     edges, held_at = [np.zeros((0, 2, 3))], dict[str, list[Array]]()
-    for item, held in zip(problem.scene.support, problem.supports.held, strict=True):
+    for held in problem.supports.held:
+        item = problem.scene.support[held.number]
         if held.track is not None:
             space.add(plotter, held.name, space.lines(held.track[None]), TRACK, line_width=7)
         elif len(held.facets):

@@ -1,10 +1,11 @@
 """What is said of a scene, its loads and its answer: the sentences that commands print."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from macro_fem.judged import asked_of_rings, links, spot_loads
+from macro_fem.motion_summary import CurtainMotionSummary, MotionSummary
 from macro_fem.ring_summary import EveryRingSummary
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, Wind
@@ -22,10 +23,10 @@ LEANS = 0.02
 """Share of the height from which a lean to a side is told."""
 
 
-def holds_line(summary: CurtainNumbers) -> str:
+def holds_line(summary: CurtainNumbers | CurtainMotionSummary) -> str:
     """Whether the curtain holds, in one line: the factor, what gives first, what the other links bear."""
-    found, too_low = links(summary), summary.utilisation_too_low
-    gives = "yield" if summary.limit_of_mesh is None else "collapse"
+    found, too_low = links(summary, summary.support_forces), summary.utilisation_too_low
+    gives = "collapse" if isinstance(summary, CurtainNumbers) and summary.limit_of_mesh is not None else "yield"
     least = found[0].factor if found else float("inf")
     if least < 1.0:
         parts = [f"does not hold, factor {digits(least)}"]
@@ -122,15 +123,33 @@ def _heights(mean: float, lowest: float, out: float | None = None) -> str:
     return f"mean height {mean:.3f} mm, lowest point {lowest:.3f} mm{away}"
 
 
-def motion_lines(summary: Mapping[str, Any], out: Path) -> list[str]:
-    """How a curtain in motion ended, and its peaks."""
-    return [
-        f"{summary['status']}: {summary['message']}",
-        *summary["notes"],
-        f"{summary['reached_s']:g} s in {summary['steps']} steps, forces of all supports add up to at most "
-        f"{digits(summary['peak_support_force_N'], 4)} N, at {digits(summary['peak_support_force_at_s'], 4)} s; "
-        f"lowest point {summary['lowest_point_mm']:.3f} mm, {summary['wall_s']:.2f} s; written to {out}",
-    ]
+def motion_lines(summary: MotionSummary, out: Path) -> Iterator[str]:
+    """How a curtain in motion ended, its peaks, what its scheme lost, and whether it holds."""
+    yield f"{summary.status}: {summary.message}"
+    yield from summary.notes
+    yield (
+        f"{summary.reached_s:g} s in {summary.steps} steps, forces of all supports add up to at most "
+        f"{digits(summary.peak_support_force_N, 4)} N, at {digits(summary.peak_support_force_at_s, 4)} s; "
+        f"lowest point {summary.lowest_point_mm:.3f} mm, {summary.wall_s:.2f} s; written to {out}"
+    )
+    if summary.lost_by_scheme_share is not None:
+        share, lost = 100.0 * summary.lost_by_scheme_share, digits(summary.lost_by_scheme_N_mm)
+        yield (
+            f"the scheme lost {digits(share)} % of the largest kinetic energy, {lost} N mm (shorter steps lose less); "
+            f"locking and touching took {digits(summary.lost_by_locking_N_mm)} N mm, damping "
+            f"{digits(summary.lost_by_damping_N_mm)} N mm"
+        )
+    if isinstance(summary, CurtainMotionSummary):
+        yield f"weakest at {summary.at_s:.4g} s: {holds_line(summary)}"
+    yield from filter(None, [summary.verdict_note])
+
+
+def motion_verdict(summary: MotionSummary) -> str:
+    """Whether a curtain in motion holds, in a few words."""
+    if summary.smallest_factor is None:
+        return "whether it holds is not known"
+    factor = f"smallest factor {digits(summary.smallest_factor)}, {summary.weakest}, at {summary.at_s:.4g} s"
+    return {True: "holds", False: "does not hold", None: "not known whether it holds"}[summary.holds] + f": {factor}"
 
 
 def every_ring_lines(summary: EveryRingSummary, out: Path) -> list[str]:

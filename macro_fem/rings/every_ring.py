@@ -56,6 +56,21 @@ def or_none(value: float | Array) -> Any:
     return array.tolist() if np.isfinite(array).all() else None
 
 
+def ring_supports(scene: RingScene, found: FiniteSolution) -> tuple[RingSupport, ...]:
+    """Force of each support on rings of a scene, in sum and at each of the rings that it holds."""
+    supports = []
+    shares = own_forces([held for _, held in scene.groups], found.reaction)
+    for (name, _), (own, part, most) in zip(scene.groups, shares, strict=True):
+        points = tuple(
+            HeldPoint(at_mm=X.tolist(), force_N=or_none(force), place_mm=x.tolist())
+            for X, force, x, mine in zip(scene.mesh.X, part, found.centre, own, strict=True)
+            if mine.any()
+        )
+        whole = {"force_N": or_none(part.sum(axis=0)), "largest_nodal_force_N": or_none(most)}
+        supports.append(RingSupport(support=name, **whole, points=points))
+    return tuple(supports)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class EveryRingSolution(Solution):
     """A scene solved ring by ring; start: "slack" or "disk", see `EveryRing`; disk: what guided the rings."""
@@ -69,16 +84,7 @@ class EveryRingSolution(Solution):
     def summary(self) -> EveryRingSummary:
         """The numbers of summary.json: lengths in mm, forces in N; null for forces where there are none."""
         rings, solution, contacts = self.scene, self.found, self.found.contacts
-        largest, supports = float(contacts.force.max(initial=0.0)), []  # nan where there are no forces
-        shares = own_forces([held for _, held in rings.groups], solution.reaction)
-        for (name, _), (own, part, most) in zip(rings.groups, shares, strict=True):
-            points = tuple(
-                HeldPoint(at_mm=X.tolist(), force_N=or_none(force), place_mm=x.tolist())
-                for X, force, x, mine in zip(rings.mesh.X, part, solution.centre, own, strict=True)
-                if mine.any()
-            )
-            whole = {"force_N": or_none(part.sum(axis=0)), "largest_nodal_force_N": or_none(most)}
-            supports.append(RingSupport(support=name, **whole, points=points))
+        largest = float(contacts.force.max(initial=0.0))  # nan where there are no forces
         return EveryRingSummary(
             status=solution.status,
             message=solution.message,
@@ -97,7 +103,7 @@ class EveryRingSolution(Solution):
             contacts=int((contacts.force > 1e-6 * largest).sum()) if np.isfinite(largest) else None,
             largest_contact_force_N=or_none(largest),
             total_load_N=solution.load.sum(axis=0).tolist(),
-            support_forces=tuple(supports),
+            support_forces=ring_supports(rings, solution),
             safety_factor=None,
             obstacles=tuple(
                 RingObstacle(obstacle=wall.name, reaction_N=or_none(force))

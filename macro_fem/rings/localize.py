@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import rve
 from macro_fem.fem.cells import mean_at_corners, padded, signed_areas
-from macro_fem.judged import Nearby
+from macro_fem.judged import Disks, Nearby
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites, curtain_file, read_curtain
 from macro_fem.rings.field import RECORD, RingField, WorstCell
@@ -102,9 +102,10 @@ def run_localize(
 def over_a_cell(curtain: Curtain, triangles: Index, area: float) -> Array:
     """S (n, 3) in triangles (n,) of a curtain, the mean over the `area` (mm2) of a cell of the weave around those that
     are smaller: beside held points S grows with every refinement, what rings take does not."""
-    near, S = Nearby(curtain.X, curtain.triangles, curtain.S, curtain.line_load, area), curtain.S[triangles]
-    for k in np.flatnonzero(np.abs(signed_areas(near.corners[triangles])) < area):
-        S[k] = near.mean(near.middle[triangles[k]])
+    disks, S = Disks(curtain.X, curtain.triangles, area), curtain.S[triangles]
+    near = Nearby(disks, curtain.S, curtain.line_load)
+    for k in np.flatnonzero(np.abs(signed_areas(disks.corners[triangles])) < area):
+        S[k] = near.mean(disks.middle[triangles[k]])
     return S
 
 

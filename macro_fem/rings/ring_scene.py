@@ -109,7 +109,7 @@ def ring_scene(scene: Scene, rings: Cell | MembraneLaw | None = None, *, at_rest
     if info is None:
         scene.refuse("the law has no rings; take one that was fitted to a table of rings")
     if scene.motion is not None:
-        scene.refuse("[motion]: is for rings over time, use macro_fem rings or MovingRings")
+        scene.refuse("[motion]: is for rings over time: macro_fem rings, or solve(scene, EveryRing())")
     if any(wind.follows for wind in scene.of(Wind)):
         scene.refuse("follows = true of [load.wind]: is not for every ring")
     if bodies := scene.of(Body):

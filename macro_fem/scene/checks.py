@@ -4,7 +4,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import fields
 from itertools import pairwise
 from math import dist
-from typing import Any
 
 from macro_fem.scene.moving import Ball, scaled
 from macro_fem.scene.obstacles import Body
@@ -15,7 +14,7 @@ from macro_fem.scene.tables import NO_MOVE, Bar, LiveLoad, PatchLoad, Timed, Vec
 from rve.common.typed import BadField
 
 OF_HOOKS, OF_REST = ("capacity", "rings_per_hook"), ("tolerance", "max_iterations", "stabilising_tension")
-"""Keys that a curtain in motion does not read: of what holds and loads points, nor do rings, and of how it is solved at
+"""Keys that every ring does not read, of what holds and loads points, and a curtain in motion, of how it is solved at
 rest."""
 
 
@@ -101,12 +100,8 @@ def _over_time(scene: Scene) -> Iterator[str]:
         yield f"[load] steps = {scene.load.steps}: has no effect in motion, use history"
     if scene.solver.is_bounded:
         yield "[solver] bounds and adapt: have no effect in motion"
-    unread: list[tuple[str, Any, tuple[str, ...]]] = [(item.where, item, OF_HOOKS) for item in scene.items]
-    if scene.motion.start == "reference":
-        unread += [("[motion] start = 'reference': [solver]", scene.solver, OF_REST)]
-    for where, record, keys in unread:
-        for key in keys_set(record, keys):
-            yield f"{where} {key} = {getattr(record, key):g}: has no effect in motion"
+    for key in keys_set(scene.solver, OF_REST) if scene.motion.start == "reference" else ():
+        yield f"[motion] start = 'reference': [solver] {key} = {getattr(scene.solver, key):g}: has no effect in motion"
 
 
 def keys_set(record: object, keys: Iterable[str]) -> list[str]:

@@ -7,7 +7,7 @@ A support tells `places`: single points of the outline, or a named edge as a who
 import math
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from msgspec import Meta
@@ -36,7 +36,7 @@ class Held:
     `facets` (m,): the facets of the mesh that are held as a whole; none for corners, hooks, runners and points.
     `slide` (d,): the direction, along no axis, in which all nodes slide freely from their positions; None if they do
     not. A direction along an axis is a component that is not in the mask. `track` (m, 3): points of the curve on which
-    they hang, None without one.
+    they hang, None without one. `number`: which of the supports of the scene it is of.
     """
 
     name: str
@@ -46,6 +46,12 @@ class Held:
     facets: np.ndarray = field(default_factory=NONE.copy, repr=False)
     slide: Array | None = None
     track: Array | None = field(default=None, repr=False)
+    number: int = 0
+
+    @classmethod
+    def nothing(cls, name: str, number: int, d: int) -> Self:
+        """Of a support that has let go."""
+        return cls(name, NONE, np.zeros((0, d), bool), np.zeros((0, d)), number=number)
 
     def components(self, shape: tuple[int, ...]) -> np.ndarray:
         """Whether it holds each component of all nodes, of this shape (n_nodes, d)."""

@@ -149,7 +149,7 @@ def _held(scene: Scene, number: int, mesh: CurtainMesh, disc: Discretization, fa
         held = item.hold(mesh.border, mesh.border.nodes(places.edge) if places.edge else places.nodes)
     positions = held.positions[:, :d] + factor * scene.vector(getattr(item, "move", NO_MOVE))
     slide, facets = None if held.slide is None else held.slide[:d], mesh.edges.get(places.edge, NONE)
-    held = replace(held, mask=held.mask[:, :d], positions=positions, slide=slide, facets=facets)
+    held = replace(held, mask=held.mask[:, :d], positions=positions, slide=slide, facets=facets, number=number)
     if disc.element != "P2" or not len(facets):
         return held
     place = np.zeros(len(mesh.border.points), np.int64)

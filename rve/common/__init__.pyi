@@ -25,6 +25,7 @@ from .materials import material_of as material_of
 from .progress import heard_by as heard_by
 from .progress import part_of as part_of
 from .progress import tell as tell
+from .progress import time_left as time_left
 from .records import Array as Array
 from .records import ByValue as ByValue
 from .records import Flags as Flags

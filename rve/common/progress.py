@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 
-Listener = Callable[[str], None]
+Listener = Callable[[str], object]
 
 _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
@@ -20,6 +20,21 @@ def tell(work: str) -> None:
     listener = _listener.get()
     if listener is not None:
         listener(work)
+
+
+def time_left(begun: float, share: float) -> str:
+    """Time used since `begun` (of `time.monotonic`) and expected for the rest of work of which a share is done.
+
+    >>> time_left(time.monotonic() - 60.0, 0.25)
+    '1.0 min used, about 3.0 min left'
+    """
+    used = time.monotonic() - begun
+    return f"{_span(used)} used" + (f", about {_span(used / share - used)} left" if share > 0.0 else "")
+
+
+def _span(seconds: float) -> str:
+    unit, name = next((one for one in ((3600.0, "h"), (60.0, "min")) if seconds >= one[0]), (1.0, "s"))
+    return f"{seconds / unit:.{0 if unit == 1.0 else 1}f} {name}"
 
 
 @contextmanager

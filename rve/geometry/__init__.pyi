@@ -8,6 +8,7 @@ from .contacts import distance_gradient as distance_gradient
 from .contacts import distance_hessian as distance_hessian
 from .contacts import find_contacts as find_contacts
 from .contacts import parallel_clearance as parallel_clearance
+from .contacts import slip_gradient as slip_gradient
 from .contacts import unlisted_gap as unlisted_gap
 from .kinematics import cauchy_line_load as cauchy_line_load
 from .kinematics import cauchy_of as cauchy_of

@@ -128,6 +128,22 @@ def distance_gradient(m: Minima) -> Array:
     return np.concatenate([m.normal, -cross(m.rho_a, m.normal), cross(m.rho_b, m.normal)], axis=1)
 
 
+def slip_gradient(m: Minima, n_a: Array, r_a: float | Array, r_b: float | Array) -> Array:
+    """Slip of ring b on ring a at a contact with respect to (d, theta_a, theta_b), (m, 2, 9): along the wire of ring a,
+    n_a x rho_a, and around it; n_a (m, 3): normals of rings a; r_a, r_b: radii of the wires in r1.
+
+    With t normal to u and the points p_a = rho_a + r_a u, p_b = rho_b - r_b u of the two skins:
+    slip = t . dd - (p_a x t) . dtheta_a + (p_b x t) . dtheta_b. Units 1 and r1 (per radian).
+    """
+    u = m.normal
+    along = cross(n_a, m.rho_a)
+    along -= dot(along, u)[:, None] * u  # of a minimum it is normal to u already, to round-off
+    along /= norm(along)[:, None]
+    t = np.stack([along, cross(u, along)], axis=1)
+    p_a, p_b = m.rho_a + np.multiply.outer(r_a, u), m.rho_b - np.multiply.outer(r_b, u)
+    return np.concatenate([t, -cross(p_a[:, None], t), cross(p_b[:, None], t)], axis=2)
+
+
 def distance_hessian(m: Minima, n_a: Array, n_b: Array, fixed: Flags | None = None) -> Array:
     """Second derivative of the distance with respect to (d, theta_a, theta_b), (m, 9, 9), exponential coordinates.
 

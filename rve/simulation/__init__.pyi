@@ -1,10 +1,14 @@
 from .dynamics import Dynamics as Dynamics
-from .dynamics import StewartTrinkleOptions as StewartTrinkleOptions
+from .dynamics import SimulationOptions as SimulationOptions
 from .dynamics import copies as copies
+from .run import FrictionLoop as FrictionLoop
+from .run import LoadHistory as LoadHistory
+from .run import Simulation as Simulation
+from .run import friction_loop as friction_loop
+from .run import read_history as read_history
+from .run import simulate as simulate
 from .stewart_trinkle import ROUND_OFF as ROUND_OFF
 from .stewart_trinkle import CellMotion as CellMotion
-from .stewart_trinkle import History as History
-from .stewart_trinkle import simulate as simulate
 from .study import Study as Study
 from .study import run_study as run_study
 from .study import solve_study as solve_study

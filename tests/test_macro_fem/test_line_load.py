@@ -7,7 +7,7 @@ from homogenize import default_law, diagonal_net
 from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
 from macro_fem.fem import recovered
-from macro_fem.judged import Nearby, judge_line_loads, largest, largest_mean
+from macro_fem.judged import Disks, Nearby, judge_line_loads, largest, largest_mean
 from tests.test_macro_fem.sheets import mesh_of, posed, sheet, solve_scene
 
 AREA = 11.0 * 12.646069623526
@@ -21,7 +21,7 @@ def nearby(n, load, area):
     """Averages of the P that `load` gives at the middles of a square's triangles, n along a side of 10 mm."""
     mesh = mesh_of(10.0, 10.0, n, n)
     P = load(mesh.p.T[mesh.t.T].mean(axis=1))
-    return Nearby(mesh.p.T, mesh.t.T, P, np.linalg.norm(P, 2, axis=(1, 2)), area)
+    return Nearby(Disks(mesh.p.T, mesh.t.T, area), P, np.linalg.norm(P, 2, axis=(1, 2)))
 
 
 @pytest.mark.parametrize("n", [2, 7, 40])

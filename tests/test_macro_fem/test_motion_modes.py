@@ -8,7 +8,7 @@ from scipy.special import jn_zeros
 
 from homogenize import default_law
 from macro_fem import read_scene
-from macro_fem.motion.modes import find_modes
+from macro_fem.modes import find_modes
 from rve import InputError
 from tests.test_macro_fem.sheets import solve_scene
 

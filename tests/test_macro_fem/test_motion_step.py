@@ -58,8 +58,8 @@ def advance(moving: Moving, moments: list[Moment], forces: Sequence[Any], h: flo
         n = len(now.x) - 1
         touched = float(result.wall_forces @ (np.linalg.norm(now.x[:n] - now.x[n], axis=1) - walls.offset))
     told = step.finish(accounts[-1], replace(end, touched=touched))
-    accounts.append(told["account"])
-    moments.append(told["moment"])
+    accounts.append(told.account)
+    moments.append(told.moment)
     return end
 
 

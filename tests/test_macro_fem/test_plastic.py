@@ -353,7 +353,8 @@ def test_run_judges_by_the_limit(tmp_path):
 @pytest.mark.slow
 def test_size_searches_for_the_limit(tmp_path):
     scene = tmp_path / "scene.toml"
-    scene.write_text('[curtain]\nwidth = 200\nheight = 200\n[support]\nkind = "top"\n[load.bar]\nmass = 20\n')
+    sheet_of = '[curtain]\nwidth = 200\nheight = 200\n[mesh]\ncells = 3\n[support]\nkind = "top"\n[load.bar]\nmass = 20\n'
+    scene.write_text(sheet_of)
     words = [
         "--json",
         "size",
@@ -369,6 +370,6 @@ def test_size_searches_for_the_limit(tmp_path):
         "--jobs",
         "1",
     ]
-    first, limit = (json.loads(CliRunner().invoke(main, [*words, *more]).output) for more in ([], ["--limit"]))
+    first, limit = (json.loads(CliRunner().invoke(main, [*words, *more]).stdout) for more in ([], ["--limit"]))
     assert limit["value"] * 9.81 * 2.0 == pytest.approx(200.0 * capacity(), rel=0.02)
     assert first["value"] < limit["value"]

@@ -146,7 +146,6 @@ motion.duration = 1.0; support = {kind = "track", fullness = 1.5, history = [[0,
 motion.duration = 1.0; load.wind = {speed = 9, direction = [0, 0, 1], history = [[0, -1]]} -> share of -1, at 0 s
 motion.duration = 1.0; solver.bounds = true -> bounds and adapt: have no effect in motion
 motion.duration = 1.0; mesh.element = "P2" -> motion needs P1
-motion.duration = 1.0; support = {kind = "hooks", pitch = 50, capacity = 5} -> capacity = 5: has no effect in motion
 motion = {duration = 1.0, start = "reference"}; solver.tolerance = 1e-6 -> tolerance = 1e-06: has no effect in motion
 motion = {duration = 1.0, step = 0.1, accuracy = 0.01} -> accuracy = 0.01: has no effect with step
 curtain = [{shape = "disk", radius = 50}, {shape = "disk", radius = 90}] -> [curtain] is not one table

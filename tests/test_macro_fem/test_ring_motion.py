@@ -11,9 +11,9 @@ from click.testing import CliRunner
 from homogenize import default_law
 from macro_fem import EveryRing, read_scene
 from macro_fem.cli import main
-from macro_fem.motion.files import account_error
 from macro_fem.motion.pace import COLUMNS
 from macro_fem.motion.rings import MovingRings
+from macro_fem.motion.series import account_error
 from macro_fem.motion.stage import TONNE
 from macro_fem.motion.step import Moment
 from macro_fem.output.images import parts
@@ -222,7 +222,7 @@ def test_rings_with_motion_writes_its_files(tmp_path):
     assert (tuple(rows[0]), len(rows)) == (COLUMNS, 7)
     frames, changed = film_of(out / "motion.gif")
     assert (frames, changed > 1e-3) == (6, True)
-    names = ("summary.json", "motion.csv", "motion.pvd", "motion.png", "motion.npz", "motion.gif")
+    names = ("summary.json", "motion.csv", "motion.pvd", "motion.png", "motion.npz", "motion.gif", "support_forces.csv")
     written = {one.name for one in out.iterdir()} - {"motion.mp4"}  # where ffmpeg is installed
     assert written == {*names, *(f"motion_{k:04d}.vtu" for k in range(6))}
 

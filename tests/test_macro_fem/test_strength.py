@@ -265,13 +265,13 @@ def test_ten_times_larger_rings_in_a_ten_times_larger_curtain_of_the_same_mass_b
 
 def test_the_largest_average_is_that_of_all_corners_of_the_mesh():
     """The search stops early; here every corner is visited."""
-    from macro_fem.judged import Nearby
+    from macro_fem.judged import Disks, Nearby
 
     tables = {"curtain": {"width": 60.0, "height": 60.0}, "support": {"kind": "corners"}, "mesh": {"cells": 8}}
     solution = solve_scene(read_scene(tables), default_law())
     law = solution.problem.law.own
     mesh, S = solution.problem.mesh.mesh, solution.recovered(solution.S)
-    near = Nearby(mesh.p.T, mesh.t.T, S, np.ones(len(S)), law.cell.b_x_mm * law.cell.b_y_mm)
+    near = Nearby(Disks(mesh.p.T, mesh.t.T, law.cell.b_x_mm * law.cell.b_y_mm), S, np.ones(len(S)))
     means = np.array([near.mean(x) for x in mesh.p.T])
     told = judge_strength(solution)
     assert told.utilisation_of_averages_max == pytest.approx(law.strength.utilisation(means).max(), rel=1e-12)

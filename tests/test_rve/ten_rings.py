@@ -17,9 +17,10 @@ from scipy.optimize import nnls
 
 from rve.common import Array
 from rve.geometry import FOUR_IN_ONE, Minima, are_linked, distance_gradient, distance_hessian, local_minima
-from rve.simulation import ROUND_OFF, StewartTrinkleOptions
+from rve.simulation import ROUND_OFF, SimulationOptions
 
-WIRE = 0.1
+WIRE, R1, DENSITY = 0.1, 5.0, 7.85e-6
+"""r2/r1, r1 in mm, density in kg/mm3."""
 KIND, SHIFT = FOUR_IN_ONE.rings[:, 0], FOUR_IN_ONE.rings[:, 1:]
 """Class (n,) and lattice shift (n, 2) of every ring."""
 N = len(KIND)
@@ -77,11 +78,11 @@ def bilateral(rings: TenRings) -> Array:
     return np.array(rows)
 
 
-def mass_matrix(rings: TenRings, options: StewartTrinkleOptions) -> Array:
+def mass_matrix(rings: TenRings) -> Array:
     """Mass matrix (6 n, 6 n) with the inertia tensors of the tori in space."""
-    r1, r2 = options.r1_mm, WIRE * options.r1_mm
-    m = options.density * 2.0 * np.pi**2 * r1 * r2**2
-    across, along = m * (0.5 * r1**2 + 0.625 * r2**2), m * (r1**2 + 0.75 * r2**2)
+    r2 = WIRE * R1
+    m = DENSITY * 2.0 * np.pi**2 * R1 * r2**2
+    across, along = m * (0.5 * R1**2 + 0.625 * r2**2), m * (R1**2 + 0.75 * r2**2)
     M = np.zeros((6 * N, 6 * N))
     for ring, normal in enumerate(rings.normals):
         at = 6 * ring
@@ -121,21 +122,21 @@ class PairContacts:
     links: NDArray[np.bool_]
 
 
-def units(options: StewartTrinkleOptions) -> Array:
+def units() -> Array:
     """r1 in mm of the offset, 1 of both turns (9,): what the coordinates of a distance have as unit."""
-    return np.repeat([options.r1_mm, 1.0, 1.0], 3)
+    return np.repeat([R1, 1.0, 1.0], 3)
 
 
-def find(rings: TenRings, options: StewartTrinkleOptions) -> PairContacts:
+def find(rings: TenRings, options: SimulationOptions) -> PairContacts:
     """Contacts between any two of the rings, nearer than the reach of the options, and which pairs interlink."""
     a, b = np.triu_indices(N, 1)
-    circles = (rings.centres[b] - rings.centres[a]) / options.r1_mm, rings.normals[a], rings.normals[b]
+    circles = (rings.centres[b] - rings.centres[a]) / R1, rings.normals[a], rings.normals[b]
     found = local_minima(*circles, reach=2.0 * WIRE + options.reach)
-    gradient, line = options.r1_mm * distance_gradient(found) / units(options), np.arange(len(found.pair))
+    gradient, line = R1 * distance_gradient(found) / units(), np.arange(len(found.pair))
     slope, pair = np.zeros((len(line), N, 6)), np.stack([a[found.pair], b[found.pair]], axis=1)
     slope[line, pair[:, 0], :3], slope[line, pair[:, 1], :3] = -gradient[:, :3], gradient[:, :3]
     slope[line, pair[:, 0], 3:], slope[line, pair[:, 1], 3:] = gradient[:, 3:6], gradient[:, 6:]
-    gap = options.r1_mm * (found.distance - 2.0 * WIRE)
+    gap = R1 * (found.distance - 2.0 * WIRE)
     return PairContacts(pair, gap, slope.reshape(len(line), 6 * N), found, are_linked(*circles))
 
 
@@ -161,10 +162,10 @@ def moved(rings: TenRings, v: Array, h: float) -> TenRings:
     return TenRings(centres, turned(rings.normals, h * v[:, 3:]), v)
 
 
-def curvature(found: PairContacts, rings: TenRings, basis: Array, M: Array, options: StewartTrinkleOptions) -> Array:
+def curvature(found: PairContacts, rings: TenRings, basis: Array, M: Array, options: SimulationOptions) -> Array:
     """Positive part of -sum lam d2gap on the velocities of `basis`; see `stewart_trinkle.geometric_stiffness`."""
     normals = rings.normals[found.pair[:, 0]], rings.normals[found.pair[:, 1]]
-    H = options.r1_mm * distance_hessian(found.minima, *normals) / np.outer(units(options), units(options))
+    H = R1 * distance_hessian(found.minima, *normals) / np.outer(units(), units())
     bend = np.zeros((basis.shape[1],) * 2)
     for (a, b), gap, hessian in zip(found.pair, found.gap, H, strict=True):
         L = np.zeros((9, N, 6))
@@ -205,17 +206,17 @@ def complementarity(A: Array, b: Array, slope: Array, gap: Array, k: float) -> A
     return np.asarray(free + AN @ lam)
 
 
-def energy(rings: TenRings, found: PairContacts, options: StewartTrinkleOptions) -> float:
+def energy(rings: TenRings, found: PairContacts, options: SimulationOptions) -> float:
     """Kinetic energy and energy of the penetrations."""
     v = rings.v.ravel()
-    kinetic = 0.5 * v @ mass_matrix(rings, options) @ v
+    kinetic = 0.5 * v @ mass_matrix(rings) @ v
     return float(kinetic + 0.5 * options.stiffness * (np.minimum(found.gap, 0.0) ** 2).sum())
 
 
-def advanced(rings: TenRings, s: Array, h: float, options: StewartTrinkleOptions) -> Step:
+def advanced(rings: TenRings, s: Array, h: float, options: SimulationOptions) -> Step:
     """One step of h seconds under the unit line load s (3,)."""
-    M, f, found = mass_matrix(rings, options), corner_forces(rings, options.load * s), find(rings, options)
-    D = np.diag(np.tile([options.damping] * 3 + [options.rotational_damping] * 3, N))
+    M, f, found = mass_matrix(rings), corner_forces(rings, options.load * s), find(rings, options)
+    D = np.diag(np.tile([options.damping] * 3 + [options.rotational_damping * options.damping * R1**2] * 3, N))
     basis, still = free_velocities(rings)
     bend = np.zeros((basis.shape[1],) * 2)
     if options.curvature:
@@ -229,8 +230,8 @@ def advanced(rings: TenRings, s: Array, h: float, options: StewartTrinkleOptions
     after = find(new, options)
     work = f @ np.column_stack([new.centres - rings.centres, np.zeros((N, 3))]).ravel()
     rise = energy(new, after, options) - energy(rings, found, options) - work
-    way = np.linalg.norm(w.reshape(N, 2, 3), axis=2) / np.array([options.r1_mm, 1.0])
-    short = way.max() <= options.largest_move and rise <= ROUND_OFF * options.load * options.r1_mm**2
+    way = np.linalg.norm(w.reshape(N, 2, 3), axis=2) / np.array([R1, 1.0])
+    short = way.max() <= options.largest_move and rise <= ROUND_OFF * options.load * R1**2
     r = M @ (v - v0) / h + D @ v
     R = float(np.sqrt((r @ np.linalg.solve(M, r)) / (f @ np.linalg.solve(M, f))))
     return Step(new, R, float(rise), bool(short and (after.links == found.links).all()))

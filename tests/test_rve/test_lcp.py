@@ -20,7 +20,8 @@ def programme(rng, n, c, stiffness):
 @given(seed=st.integers(0, 10**6), contacts=st.integers(1, 20), power=st.integers(0, 9))
 def test_balance_and_complementarity_hold_in_every_step(seed, contacts, power):
     A, b, G, gap, k = programme(np.random.default_rng(seed), 6, contacts, 10.0**power)
-    w, lam, is_solved = solve_contact_step(A, b, G, gap, k)
+    w, beta, is_solved = solve_contact_step(A, b, G[:, :, None], gap, k)
+    lam = beta[..., 0]
     assert is_solved.all()
     assert (lam >= 0.0).all()
     assert not lam[k == 0.0].any()
@@ -37,4 +38,5 @@ def test_a_step_whose_forces_are_not_found_says_so(monkeypatch):
         raise RuntimeError
 
     monkeypatch.setattr("rve.simulation.stewart_trinkle.nnls", fails)
-    assert not solve_contact_step(*programme(np.random.default_rng(4), 3, 15, 1e4))[2].any()
+    A, b, G, gap, k = programme(np.random.default_rng(4), 3, 15, 1e4)
+    assert not solve_contact_step(A, b, G[:, :, None], gap, k)[2].any()

@@ -15,7 +15,6 @@ own (`MODES.resolved`), and those of slack parts, which nothing but inertia resi
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import skfem
@@ -30,6 +29,7 @@ from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded, recov
 from macro_fem.fem.discretization import ELEMENTS
 from macro_fem.job import solve_membrane
 from macro_fem.motion.stage import TONNE, masses_of, mesh_masses, pushed_points, scene_at
+from macro_fem.motion_summary import ModesSummary
 from macro_fem.output.images import save_picture
 from macro_fem.output.pictures import Pictures, draw_all
 from macro_fem.output.space_view import add_supports
@@ -259,7 +259,7 @@ def _solver(A: sparse.spmatrix, C: sparse.spmatrix) -> Callable[[Array], Array]:
 
 def run_modes(
     scene_path: Path, law_path: Path | None, out: Path, *, number: int = 6, picture: bool = True
-) -> dict[str, Any]:
+) -> ModesSummary:
     """Find natural frequencies of the scene in a file, write modes.json, modes.vtu and modes.png; the summary.
 
     Line loads are those of elastic rings where rigid ones leave them open. InputError in one sentence for what cannot
@@ -269,19 +269,19 @@ def run_modes(
     scene, law, inputs = read_job(scene_path, law_path, out, RECORD)
     found = solve_membrane(scene_at(scene, 0.0), law).loaded
     modes, problem = find_modes(found, number), found.problem
-    summary = {
-        "frequencies_Hz": modes.frequencies_Hz.tolist(),
-        "multiplicity": modes.multiplicity.tolist(),
-        "left_out": modes.left_out + ("; the partial factors of [[combination]]" if scene.combination else ""),
-        "loads": loads_in_words(problem.scene),
-        "time_s": None if scene.motion is None else 0.0,
-        "forces_by": forces_by(found),
-        "cells": problem.disc.n_cells,
-        "notes": list(problem.mesh.notes),
-        "law": problem.law.name,
-        "wall_s": found.wall_s,
-        "versions": versions("scikit-fem", "scikit-sparse"),
-    }
+    summary = ModesSummary(
+        frequencies_Hz=modes.frequencies_Hz.tolist(),
+        multiplicity=modes.multiplicity.tolist(),
+        left_out=modes.left_out + ("; the partial factors of [[combination]]" if scene.combination else ""),
+        loads=loads_in_words(problem.scene),
+        time_s=None if scene.motion is None else 0.0,
+        forces_by=forces_by(found),
+        cells=problem.disc.n_cells,
+        notes=list(problem.mesh.notes),
+        law=problem.law.name,
+        wall_s=found.wall_s,
+        versions=versions("scikit-fem", "scikit-sparse"),
+    )
     with job(out, RECORD, summary, inputs) as folder:
         write_shapes(folder / "modes.vtu", modes)
     draw_all(out, RECORD, summary, {"modes.png": lambda path: draw_shapes(path, modes)} if picture else {}, inputs)
