@@ -353,8 +353,8 @@ def test_run_judges_by_the_limit(tmp_path):
 @pytest.mark.slow
 def test_size_searches_for_the_limit(tmp_path):
     scene = tmp_path / "scene.toml"
-    sheet_of = '[curtain]\nwidth = 200\nheight = 200\n[mesh]\ncells = 3\n[support]\nkind = "top"\n[load.bar]\nmass = 20\n'
-    scene.write_text(sheet_of)
+    sheet_and_mesh = "[curtain]\nwidth = 200\nheight = 200\n[mesh]\ncells = 3\n"
+    scene.write_text(sheet_and_mesh + '[support]\nkind = "top"\n[load.bar]\nmass = 20\n')
     words = [
         "--json",
         "size",
