@@ -11,6 +11,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+import homogenize
 import rve
 from rve.plots import CLASS_COLOURS, drawn_rings
 
@@ -257,6 +258,54 @@ def obstacles() -> Any:
     return fig
 
 
+def locking_set() -> Any:
+    """Strains without shear that the rings allow, with the supporting lines of three loads."""
+    rows = homogenize.default_law().rows
+    E = rows.E[(np.abs(rows.S[:, 1]) < 1e-9) & (np.abs(rows.E[:, 1]) < 1e-6)][:, [0, 2]]
+    E = E[np.argsort(E[:, 0])]
+    fig, ax = plt.subplots(figsize=(6.4, 4.6))
+    low = -0.5
+    ax.fill(*np.concatenate([[[low, low], [low, 0.0]], E, [[E[-1, 0], low]]]).T, fc=SHEET, ec="none")
+    ax.plot(*np.concatenate([[[low, 0.0]], E, [[E[-1, 0], low]]]).T, color="0.3", lw=1.6)
+    for share, at in ((0.0, 0), (0.37, 11), (1.0, -1)):
+        normal, place = np.array([share, 1.0 - share]), E[at]
+        size = 0.22 / np.linalg.norm(normal)
+        along = np.array([-normal[1], normal[0]]) * size
+        ax.plot(*np.array([place - along, place + along]).T, color=RED, lw=1.2, ls="--")
+        arrow(ax, place, place + 0.7 * size * normal, RED)
+        ax.plot(*place, "o", color=RED, ms=5)
+    words(ax, (-0.18, 0.21), "pull along the grain", color=RED)
+    words(ax, (0.42, -0.03), "S", color=RED)
+    words(ax, (0.93, -0.29), "pull across", color=RED)
+    words(ax, (0.03, -0.4), "K: slack inside, locked on the border")
+    ax.set(xlabel="E11, across the grain", ylabel="E22, along it", xlim=(low, 1.1), ylim=(low, 0.28), aspect="equal")
+    return fig
+
+
+def strip_by_hand() -> Any:
+    """A strip under its weight and a bar, its line load over the height, and the share of one hook."""
+    fig, (strip, load) = bare(7.2, 3.8, 2)
+    strip.set(xlim=(-1.8, 4.3), ylim=(-1.4, 4.6))
+    load.set(xlim=(-0.8, 5.3), ylim=(-1.4, 4.6))
+    sheet(strip, [(0, 0), (4, 0), (4, 3), (0, 3)])
+    strip.plot([0, 4], [0, 0], color="0.2", lw=5)
+    for x in (0.5, 1.5, 2.5, 3.5):
+        strip.plot(x, 3, "o", color=BLUE)
+        arrow(strip, (x, 3), (x, 3.7), BLUE)
+    arrow(strip, (1.5, 4.0), (2.5, 4.0), both=True, width=1)
+    words(strip, (2.0, 4.3), "110 mm: 24.6 N a hook", color=BLUE)
+    arrow(strip, (-0.4, 0), (-0.4, 3), both=True, width=1)
+    words(strip, (-1.1, 1.5), "1 m")
+    arrow(strip, (2, 1.9), (2, 1.1), RED)
+    words(strip, (2, 2.2), "2.785 kg/m$^2$", color=RED)
+    arrow(strip, (2, 0), (2, -0.7), RED)
+    words(strip, (2, -1.0), "bar: 20 kg/m", color=RED)
+    sheet(load, [(0, 0), (2.63, 0), (3.0, 3), (0, 3)], fc="#f6d5d7", ec=RED)
+    words(load, (1.3, -0.4), "0.196 N/mm", color=RED)
+    words(load, (1.5, 3.35), "S22 = 0.224 N/mm", color=RED)
+    return fig
+
+
 DRAWINGS: dict[str, Callable[[], Any]] = {
     "axes_and_grain": axes_and_grain,
     "reference_width": reference_width,
@@ -266,6 +315,8 @@ DRAWINGS: dict[str, Callable[[], Any]] = {
     "supports": supports,
     "weave_angle": weave_angle,
     "obstacles": obstacles,
+    "locking_set": locking_set,
+    "strip_by_hand": strip_by_hand,
 }
 
 

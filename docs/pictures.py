@@ -15,12 +15,13 @@ ON_A_TRACK = macro_fem.Scene(
     [macro_fem.Track(radius=130.0, angle=150.0, pitch=40.0, height=230.0)],
     macro_fem.Mesh(cells=24),
 )
+A_PIECE = macro_fem.Scene(macro_fem.Rectangle(120.0, 100.0), [macro_fem.Top()], macro_fem.Mesh(cells=4))
 
 
-def put(picture: Path, path: Path) -> None:
-    """The picture in a file of the documentation, of 1,200 pixels and 256 colours, which are a tenth of its bytes."""
+def put(picture: Path, path: Path, width: int = 1200) -> None:
+    """The picture in a file of the documentation, of so many pixels and 256 colours, which are a tenth of its bytes."""
     whole = Image.open(picture).convert("RGB")
-    small = whole.resize((1200, round(1200 * whole.height / whole.width)), Image.Resampling.LANCZOS)
+    small = whole.resize((width, round(width * whole.height / whole.width)), Image.Resampling.LANCZOS)
     small.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=4).save(path, optimize=True)  # keeps colours of small parts
 
 
@@ -33,6 +34,8 @@ def main() -> None:
         put(folder / "curtain" / "curtain.png", HERE / "curtain.png")
         macro_fem.localize(folder / "curtain").save(folder / "rings")
         put(folder / "rings" / "rings.png", HERE / "rings.png")
+        macro_fem.solve(A_PIECE).rings().save(folder / "metal", picture=False, render=True)
+        put(folder / "metal" / "render.png", HERE / "rings_metal.png", 640)
         macro_fem.solve(ON_A_TRACK).rings().save(folder / "space")
         put(folder / "space" / "rings.png", HERE / "rings_space.png")
 

@@ -1,11 +1,13 @@
 from .fitting import FitOptions as FitOptions
 from .fitting import LawInterval as LawInterval
 from .fitting import fit as fit
+from .fitting import fit_rows as fit_rows
 from .fitting import fit_table as fit_table
 from .fitting import read_law_interval as read_law_interval
 from .io import default_law as default_law
 from .io import load_law as load_law
 from .laws import ClothLaw as ClothLaw
+from .laws import Law as Law
 from .laws import MembraneLaw as MembraneLaw
 from .laws import diagonal_net as diagonal_net
 from .laws import elastic_law as elastic_law

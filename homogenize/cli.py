@@ -6,11 +6,12 @@ from typing import Any
 
 import click
 
-from rve.common import InputError, check_out_file, check_out_job, read_entry, require, types_of
+from rve.common import InputError, check_out_file, check_out_job, numbers_of, read_entry, require, types_of
+from rve.common.cell_fields import check_ring_size
 from rve.common.commands.command_line import Group, answer, check_plot, parse_load, say, say_next
 from rve.common.materials import Stress
 
-KINDS = ("refined", "outer", "inner", "net")
+KINDS, CONTRADICTIONS = ("refined", "outer", "inner", "net"), ("list", "drop", "mend")
 """Those of `homogenize.fitting.table`, which is not imported to print a help text."""
 
 
@@ -31,16 +32,32 @@ def main() -> None:
     type=float,
     help="Strain that is worth a facet of the refined law; 1e-5 suits a --graded table.  [default: 3e-5]",
 )
-def fit(table: Path, out: Path, kind: str | None, noise: float | None, resolution: float | None) -> None:
-    """Fit a law to TABLE, write it and print how wrong it can be."""
+@click.option(
+    "--contradictions",
+    type=click.Choice(CONTRADICTIONS),
+    help="Rows that contradict each other: refuse them by a list, leave them out, or mend them.  [default: list]",
+)
+@click.option("--cell", metavar="R1,R2[,WEAVE]", help="Rings of a TABLE that does not tell them, radii in mm.")
+@click.option("--areal-mass", type=float, help="Mass of the mesh in kg/m2; by default that of the rings.")
+@click.option("--mirrored/--not-mirrored", default=True, help="Whether every row of TABLE stands for its mirror image.")
+def fit(table: Path, out: Path, noise: float | None, cell: str | None, **more: Any) -> None:
+    """Fit a law to TABLE, write it and print how wrong it can be.
+
+    TABLE needs the columns E11, E12, E22 and either S11, S12, S22 in any unit or alpha_deg, beta_deg.
+    """
     from homogenize.fitting.table import FitOptions, fit_table
+    from rve import Cell
 
     check_out_file(out, inputs=[table])
-    for option, name, value in (("--noise", "normality", noise), ("--resolution", "resolution", resolution)):
-        if value is not None:
-            read_entry({option: value}, option, types_of(FitOptions)[name])
-    asked: dict[str, Any] = {"kind": kind, "normality": noise, "resolution": resolution}
-    result = fit_table(table, FitOptions(**{key: value for key, value in asked.items() if value is not None}))
+    asked = {key: value for key, value in {"normality": noise, **more}.items() if value is not None}
+    for option, name in (("--noise", "normality"), ("--resolution", "resolution"), ("--areal-mass", "areal_mass")):
+        if name in asked:
+            read_entry({option: asked[name]}, option, types_of(FitOptions)[name])
+    if cell is not None:
+        (r1, r2), weave = numbers_of(",".join(cell.split(",")[:2]), "--cell", "R1,R2"), cell.split(",")[2:]
+        check_ring_size(r1, "--cell: r1")
+        asked["cell"] = Cell(r1, r2, *weave[:1])  # type: ignore[arg-type]
+    result = fit_table(table, FitOptions(**asked))
     result.save(out)
     say(result.report.text())
     if result.law.strength is not None:

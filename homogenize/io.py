@@ -17,7 +17,7 @@ from homogenize.laws.net import STATED_STIFFNESS
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.report import ErrorReport
 from homogenize.laws.rows import read_rows
-from homogenize.laws.stored import SCHEMA, UNITS, StoredLaw
+from homogenize.laws.stored import SCHEMA, UNITS, Law
 from homogenize.laws.strength import read_strength
 from rve.common import (
     InputError,
@@ -29,6 +29,8 @@ from rve.common import (
     shown,
     types_of,
 )
+from rve.common.cell_fields import ArealMass
+from rve.common.plugins import load_installed
 from rve.geometry import CellInfo, read_cell_info
 
 DEFAULT_LAW = Path(__file__).parent / "data" / "rings_10.json"
@@ -39,29 +41,35 @@ DEFAULT_LAW = Path(__file__).parent / "data" / "rings_10.json"
 class LawEntries(Typed):
     """What a law file holds."""
 
-    schema: Any
     kind: str
-    units: Any
-    cell: dict[str, Any] | None
     parameters: dict[str, Any]
+    schema: Any = SCHEMA
+    units: Any = None
+    cell: dict[str, Any] | None = None
+    plugin: str | None = None
     strength: dict[str, Any] | None = None
     provenance: dict[str, Any] | None = None
     stiffness_is_measured: bool | None = None
+    areal_mass_kg_per_m2: ArealMass | None = None
 
     def check(self) -> None:
         for key, found, known in (("schema", self.schema, SCHEMA), ("units", self.units, UNITS)):
-            if found != known:
+            if found not in (None, known):
                 self.refuse(f"{key} = {shown(found)}, this version reads {key} = {known}")
+        if self.kind not in law_kinds() and self.plugin is not None:
+            given = f"give --plugin {self.plugin}" if self.plugin.endswith(".py") else f"install {self.plugin}"
+            self.refuse(f"kind = {shown(self.kind)}: is of the plugin {self.plugin}, which is not loaded; {given}")
         if self.kind not in law_kinds():
             kinds, again = ", ".join(sorted(law_kinds())), "fit the table again: homogenize fit TABLE --out LAW"
             self.refuse(f"kind = {shown(self.kind)}, this version reads {kinds}; {again}")
 
 
-def law_kinds() -> dict[str, type[StoredLaw]]:
+def law_kinds() -> dict[str, type[Law]]:
     """The laws that have a file, by kind: the classes of the modules in `homogenize.laws` that name one."""
     for module in pkgutil.iter_modules(laws.__path__):
         import_module(f"{laws.__name__}.{module.name}")
-    return StoredLaw.kinds
+    load_installed()
+    return Law.kinds
 
 
 def default_law() -> PolyhedralLaw:
@@ -71,7 +79,7 @@ def default_law() -> PolyhedralLaw:
     return law
 
 
-def load_law(path: str | Path) -> StoredLaw:
+def load_law(path: str | Path) -> Law:
     """The law in the file `path`, with its rings, rows, error report and strength.
 
     InputError names file, key and value of what this version does not read.
@@ -91,6 +99,7 @@ def load_law(path: str | Path) -> StoredLaw:
         rows=None if rows is None else read_rows(rows, f"{where} provenance table_rows:"),
         report=None if report is None else read_typed(ErrorReport, report, f"{where} provenance report:"),
         stiffness_is_measured=_is_measured(entries, provenance),
+        areal_mass_kg_per_m2=entries.areal_mass_kg_per_m2,
         provenance=provenance,
     )
 

@@ -6,7 +6,7 @@ from typing import Any, TypeVar, cast
 
 from homogenize.fitting.interval import LawInterval
 from homogenize.laws.protocol import MembraneLaw
-from homogenize.laws.stored import StoredLaw
+from homogenize.laws.stored import Law
 from homogenize.laws.strength import MAKE_AGAIN
 from rve.common import InputError, checked
 from rve.common.materials import Material, material_of
@@ -40,7 +40,7 @@ def with_material(law: Kind, given: Mapping[str, Any], where: str = "") -> Kind:
             "with rve table --rings --poisson".lstrip()
         )
     new = material_of(given, where, base=old)
-    is_strong = any(isinstance(one, StoredLaw) and one.strength is not None for one in laws)
+    is_strong = any(isinstance(one, Law) and one.strength is not None for one in laws)
     if not is_strong and not {"yield", "ultimate"}.isdisjoint(given):
         raise InputError(f"{where} needs a law that knows the strength of its rings; {MAKE_AGAIN}".lstrip())
     changed = {id(one): _changed(one, old, new) for one in laws}
@@ -52,7 +52,7 @@ def with_material(law: Kind, given: Mapping[str, Any], where: str = "") -> Kind:
 
 def _changed(law: MembraneLaw, old: Material, new: Material) -> MembraneLaw:
     """The law with areal mass, strength and stiffness of rings of `new` in place of `old`."""
-    if not isinstance(law, StoredLaw):
+    if not isinstance(law, Law):
         return law
     softer, cell, known = old.young_N_per_mm2 / new.young_N_per_mm2, law.cell, law.strength
     if cell is not None:

@@ -15,7 +15,7 @@ from homogenize.laws import pictures
 from homogenize.laws.pictures import locking_surface, solid_axes
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.rows import LockedRows, with_mirror
-from homogenize.laws.stored import StoredLaw
+from homogenize.laws.stored import Law
 from homogenize.query.strain import locked_strain
 from rve.common import Array, job, tell
 from rve.common.drawing.plane import Scale, new_axes, new_figure, rounded_up, save_figure, viridis
@@ -33,7 +33,7 @@ DECADES = 3.0
 """The scale of gaps goes over this many powers of ten."""
 
 
-def write_pictures(law: StoredLaw, table: StrainTable, folder: str | Path, inputs: Sequence[Path] = ()) -> list[Path]:
+def write_pictures(law: Law, table: StrainTable, folder: str | Path, inputs: Sequence[Path] = ()) -> list[Path]:
     """Writes surface.png, strains.png, errors.png, sections.png and pictures.json into `folder`, all at once.
 
     Returns the paths of the pictures; InputError if one would overwrite `inputs`, and for a table of other rings.

@@ -27,14 +27,17 @@ from .scene.support_kinds import Edge as Edge
 from .scene.support_kinds import Hooks as Hooks
 from .scene.support_kinds import Point as Point
 from .scene.support_kinds import Rail as Rail
+from .scene.support_kinds import Support as Support
 from .scene.support_kinds import Top as Top
 from .scene.support_kinds import Track as Track
 from .scene.tables import Bar as Bar
 from .scene.tables import Combination as Combination
 from .scene.tables import EdgeLoad as EdgeLoad
 from .scene.tables import Load as Load
+from .scene.tables import Loading as Loading
 from .scene.tables import PatchLoad as PatchLoad
 from .scene.tables import PointLoad as PointLoad
+from .scene.tables import Project as Project
 from .scene.tables import Solver as Solver
 from .scene.tables import Wind as Wind
 from .size import Size as Size

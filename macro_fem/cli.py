@@ -1,8 +1,9 @@
 """The command line: python -m macro_fem run scene.toml [--law law.json] --out DIR."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
-from itertools import takewhile
+from dataclasses import asdict, replace
+from importlib.util import find_spec
+from itertools import product, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,9 @@ _goes_on = click.option(
 @click.option("--animation", is_flag=True, help="Draw the load steps as curtain.gif (needs pyvista).")
 @click.option("--html", is_flag=True, help="Write curtain.html, which turns in a browser (needs plotly).")
 @click.option("--table", type=PATH, help="Table, CSV, to begin with instead of a law; with --cell.")
-@click.option("--cell", metavar="R1,R2", help="Ask these rings for the law, radii in mm, where the curtain needs it.")
+@click.option(
+    "--cell", metavar="R1,R2", help="Ask these rings for the law, radii in mm or inner=8,wire=1.6, where it is needed."
+)
 @renamed("--rings", "--cell R1,R2")
 @click.option("--weave", type=click.Choice(["4-in-1", "6-in-1"]), help="With --cell: weave.  [default: 4-in-1]")
 @click.option(
@@ -64,7 +67,7 @@ _goes_on = click.option(
 @click.option("--accuracy", type=float, help="With --cell: width of the interval over the height.  [default: 5e-3]")
 @click.option("--cache", type=PATH, help="Folder where tables of the rings are kept.")
 @click.option("--no-cache", is_flag=True, help="Keep no tables of the rings, and read none.")
-@click.option("--report", type=PATH, help="Write a report, PDF.")
+@click.option("--report", type=PATH, help="Write a report, PDF (needs typst; in space pyvista).")
 @click.option("--dxf", type=PATH, help="Write the outline of the flat sheet (needs ezdxf).")
 @click.option("--limit", is_flag=True, help="Let rings flow, and judge by the limit of the curtain: kind = 'plastic'.")
 @click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
@@ -95,10 +98,8 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
 
         if asked is not None:
             raise InputError("--table and --cell: a curtain in motion takes a law, by --law")
-        if any([explain, limit, files.pop("report"), files.pop("dxf")]):
-            raise InputError(
-                "--explain, --limit, --report and --dxf: are for a curtain at rest, not for a scene with [motion]"
-            )
+        if any([explain, limit, files.pop("dxf")]):
+            raise InputError("--explain, --limit and --dxf: are for a curtain at rest, not for a scene with [motion]")
         say(*default_law_lines(law_path))
         summary, failed = moved, _ = made(run_motion, scene, law_path, out, goes_on=goes_on, **files)
         say(*motion_lines(moved, out))
@@ -123,7 +124,9 @@ def _answer_or_go_on(summary: Mapping[str, Any], failed: NotDrawn | None, comman
     epilog="Example: macro_fem size scene.toml --law law.json --vary pitch --from 50 --to 400 --factor 3 --out pitch",
 )
 @_scene_and_law
-@click.option("--cell", metavar="R1,R2", help="Ask these rings for the law, radii in mm; --vary r2 needs it.")
+@click.option(
+    "--cell", metavar="R1,R2", help="Ask these rings for the law, radii in mm or inner=8,wire=1.6; --vary r2 needs it."
+)
 @renamed("--rings", "--cell R1,R2")
 @click.option("--vary", type=click.Choice(["pitch", "mass", "speed", "r2"]), required=True, help="What is varied.")
 @click.option("--from", "low", type=float, required=True, help="Smallest value: mm, kg or m/s.")
@@ -170,14 +173,15 @@ def size(scene: Path, law_path: Path | None, cell: str | None, out: Path | None,
 @click.option("--number", type=int, default=6, show_default=True, help="How many frequencies.")
 @_out
 @click.option("--picture/--no-picture", default=True, help="Draw modes.png (needs matplotlib and pyvista).")
-def modes(scene: Path, law_path: Path | None, number: int, out: Path, picture: bool) -> None:
+@click.option("--report", type=PATH, help="Write a report, PDF (needs typst, matplotlib and pyvista).")
+def modes(scene: Path, law_path: Path | None, number: int, out: Path, picture: bool, report: Path | None) -> None:
     """Natural frequencies of the curtain of SCENE at rest, with [motion] at t = 0; writes modes.vtu and modes.png.
 
     Exit code 0: found; 1: the curtain at rest has not converged; 2: bad input; 3: only the picture failed.
     """
     from macro_fem.modes import run_modes
 
-    found, failed = made(run_modes, scene, law_path, out, number=number, picture=picture)
+    found, failed = made(run_modes, scene, law_path, out, number=number, picture=picture, report=report)
     hertz = ", ".join(f"{one:.4g}" for one in found.frequencies_Hz)
     say(*found.notes)
     under = found.loads + ("" if found.time_s is None else ", as they are at t = 0 s")
@@ -208,32 +212,80 @@ def deck(scene: Path, law_path: Path | None, out: Path, runs: bool) -> None:
         raise click.exceptions.Exit(1)
 
 
-@main.command(
-    context_settings={"ignore_unknown_options": True},
-    epilog="Example: macro_fem sweep low.toml high.toml --out curtains --jobs 2 --law law.json",
+_many_options = options(
+    sweep_options,
+    click.option("--law", "laws", type=PATH, multiple=True, help="Law file; every scene is solved with each one."),
+    click.argument("arguments", nargs=-1, type=click.UNPROCESSED, required=True, metavar="SCENE... [OPTIONS OF run]"),
 )
-@sweep_options
-@click.argument("arguments", nargs=-1, type=click.UNPROCESSED, required=True, metavar="SCENE... [OPTIONS OF run]")
-def sweep(out: Path, arguments: tuple[str, ...], **workers: Any) -> None:
-    """Solve every SCENE into a folder of its name, and write sweep.csv beside them.
 
-    The same command again runs only what is not finished. Exit code 1 if a scene failed: sweep.csv says why.
-    """
+
+def _runs(arguments: tuple[str, ...], laws: tuple[Path, ...], out: Path) -> list[SweepItem]:
+    """A run of every scene with every law, named by both where there are several laws."""
     scenes = [Path(one) for one in takewhile(lambda one: not one.startswith("-"), arguments)]
     if not scenes:
         raise InputError("SCENE: name at least one file, before the options")
     further = further_options(arguments[len(scenes) :], ("--out", "--report", "--dxf"))
     items = []
-    for scene in scenes:
-        folder = out.resolve() / scene.stem
-        words = ("run", str(scene.resolve()), "--out", str(folder), *further)
-        items.append(SweepItem(scene.stem, "macro_fem", words, folder / "summary.json"))
+    for scene, law in product(scenes, laws or (None,)):
+        name = scene.stem if law is None or len(laws) < 2 else f"{scene.stem}_{law.stem}"
+        folder, own = out.resolve() / name, () if law is None else ("--law", str(law.resolve()))
+        words = ("run", str(scene.resolve()), "--out", str(folder), *own, *further)
+        labels = (("scene", scene.stem), ("law", "" if law is None else law.stem))
+        items.append(SweepItem(name, "macro_fem", words, folder / "summary.json", labels=labels))
+    return items
+
+
+@main.command(
+    context_settings={"ignore_unknown_options": True},
+    epilog="Example: macro_fem sweep low.toml high.toml --out curtains --jobs 2 --law law.json",
+)
+@_many_options
+def sweep(out: Path, arguments: tuple[str, ...], laws: tuple[Path, ...], **workers: Any) -> None:
+    """Solve every SCENE into a folder of its name, and write sweep.csv beside them.
+
+    The same command again runs only what is not finished. Exit code 1 if a scene failed: sweep.csv says why.
+    """
 
     def columns(record: dict[str, Any]) -> dict[str, Any]:
         return {name: record.get(name, "") for name in COLUMNS}
 
-    first = out / run_sweep(items, out, columns, **workers)[0]["name"]
+    first = out / run_sweep(_runs(arguments, laws, out), out, columns, **workers)[0]["name"]
     _say_next_of_curtain(first, read_json_object(first / "summary.json"))
+
+
+@main.command(
+    context_settings={"ignore_unknown_options": True},
+    epilog="Example: macro_fem compare-designs low.toml high.toml --law thin.json --law thick.json --out designs",
+)
+@_many_options
+@click.option("--picture/--no-picture", default=True, help="Draw designs.png and curtains.png (needs matplotlib).")
+def compare_designs(
+    out: Path, arguments: tuple[str, ...], laws: tuple[Path, ...], picture: bool, **workers: Any
+) -> None:
+    """Solve every SCENE with every law, and write designs.csv and designs.xlsx, a chart of them, and all curtains.
+
+    What a run writes is in a folder of its name. The same command again runs only what is not finished. Exit code 1 if
+    a design failed, of which the table says why; 3: only pictures failed.
+    """
+    from macro_fem.output import designs
+    from macro_fem.output.pictures import Pictures
+
+    Pictures(picture, stem="designs").check()
+    items = _runs(arguments, laws, out)
+    items = [replace(one, arguments=(*one.arguments, *["--no-picture"] * (not picture))) for one in items]
+
+    def save(rows: list[dict[str, Any]]) -> None:
+        say(
+            *(designs.design_line(row) for row in rows if row["status"]),
+            *[] if find_spec("openpyxl") else [designs.NO_SHEET],
+        )
+        if best := designs.lightest(rows):
+            words = next(one.arguments for one in items if one.name == best["name"])
+            report = out / f"{best['name']}.pdf"
+            say_next("macro_fem", *words, "--report", report, why="a report of the lightest that holds")
+        designs.save_designs(out, rows, [one.record.parent for one in items], picture=picture)
+
+    run_sweep(items, out, designs.design_columns, **workers, table="designs.csv", then=save)
 
 
 def _beside(out: Path, what: str) -> Path:
@@ -338,8 +390,11 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: Any, out: Pa
 @click.option("--max-rings", type=click.IntRange(min=1), default=100_000, show_default=True, help="More are refused.")
 @click.option("--picture/--no-picture", default=True, show_default=True, help="Draw rings.png (needs pyvista).")
 @click.option("--html", is_flag=True, help="Write rings.html, which turns in a browser (needs plotly).")
-@click.option("--stl", is_flag=True, help="Write rings.stl, tori for CAD and printing.")
-def localize(curtain: Path, out: Path, window: str | None, max_rings: int, **files: bool) -> None:
+@click.option("--render", is_flag=True, help="Draw render.png: the rings as metal, with a shadow (needs pyvista).")
+@click.option(
+    "--format", "solids", type=click.Choice(["3mf", "glb", "stl"]), help="Write tori for printers, CAD and browsers."
+)
+def localize(curtain: Path, out: Path, window: str | None, max_rings: int, **files: Any) -> None:
     """Every ring of CURTAIN, the folder of a run: rings.vtu, rings.png, worst_cell.csv, localize.json."""
     from macro_fem.output.told import ring_field_lines
     from macro_fem.rings.localize import run_localize

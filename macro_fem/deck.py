@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from homogenize import MembraneLaw, with_material
+from homogenize import MembraneLaw
 from homogenize.export import even_law, umat_source
 from macro_fem.answer import read_job
 from macro_fem.curtain import CurtainProblem, forces_by, make_problem
@@ -25,6 +25,7 @@ from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import counterclockwise, padded
 from macro_fem.job import solve_membrane
 from macro_fem.scene.checks import check_scene, check_sizes
+from macro_fem.scene.loads import meet
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import Scene
 from rve.common import Array, InputError, filled, job, part_of, versions, write_text
@@ -56,7 +57,7 @@ def deck_problem(scene: Scene, law: MembraneLaw) -> CurtainProblem:
     check_scene(scene)
     for what in left_out(scene):
         scene.refuse(f"{what}: a deck holds a curtain at rest under dead loads, leave it out")
-    law = with_material(law, dict(scene.material), f"{scene.source}: [material]")
+    scene, law = meet(scene, law)
     check_sizes(scene, None if law.cell is None else law.cell.r1_mm)
     problem = make_problem(scene, law, build_mesh(scene, law.cell))
     if problem.winds:

@@ -29,9 +29,10 @@ from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.scene import Scene
 from macro_fem.summary import Asked, Turn
 from rve import Cell, StrainTable, grid, read_table, reference_cell, solve_table, with_rings, write_table
-from rve.common import Array, Cache, InputError, numbers_of, part_of, read_entry, sidecar_path, versions
+from rve.common import Array, Cache, InputError, part_of, read_entry, sidecar_path, versions
 from rve.common.arguments import check_fields
 from rve.common.cell_fields import check_ring_size
+from rve.common.ring_sizes import radii_in
 from rve.common.tensor import WEIGHT, disc, trace
 from rve.geometry import cauchy_of, load_angles
 
@@ -361,7 +362,7 @@ def demand_options(
         return None
     if "cache" in told and "no_cache" in told:
         raise InputError("--cache and --no-cache contradict each other: give one")
-    r1, r2 = numbers_of(cell, "--cell", "R1,R2")
+    r1, r2 = radii_in(cell, "--cell")
     check_ring_size(r1, "--cell: r1")
     rings = Cell(r1, r2, told.get("weave", "4-in-1"), told.get("grain", "y"))
     base = os.environ.get("XDG_CACHE_HOME", "")

@@ -1,12 +1,13 @@
 """Solving a scene, from Python and from files."""
 
+import time
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, overload
 
-from homogenize import LawInterval, MembraneLaw, default_law, read_law_interval, with_material
+from homogenize import LawInterval, MembraneLaw, default_law, read_law_interval
 from homogenize.fitting import interval_or_law
 from macro_fem.answer import RECORD, Solution, read_job
 from macro_fem.bounds.interval import admissible_problem, levels
@@ -18,16 +19,17 @@ from macro_fem.output.pictures import Pictures, draw_all
 from macro_fem.ring_summary import EveryRingSummary
 from macro_fem.rings import Comparison, EveryRing, EveryRingSolution, in_material, ring_scene
 from macro_fem.scene.checks import check_bounds, check_scene, check_sizes
+from macro_fem.scene.loads import meet
 from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, columns
 from macro_fem.scene.moving import scaled
 from macro_fem.scene.reading import load_scene
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile
-from macro_fem.scene.tables import Combination, LiveLoad
+from macro_fem.scene.tables import FACTORED, Combination, Load
 from macro_fem.solvers.status import COLLAPSED
 from macro_fem.summary import CurtainSummary
 from rve import Cell
-from rve.common import InputError, check_out_job, checked, heard_by, noted_if_stopped, part_of
+from rve.common import InputError, Progress, check_out_job, checked, heard_by, noted_if_stopped, part_of
 
 Who = MembraneLaw | LawInterval | OnDemand | EveryRing | None
 """Who answers: a law, the interval of laws of a table, a law asked of the rings on the way, or every ring; None for the
@@ -35,7 +37,7 @@ law of rings with r1 = 5 mm and r2 = 0.5 mm."""
 
 
 @overload
-def solve(scene: Scene, who: EveryRing, *, progress: Callable[[str], object] | None = None) -> EveryRingSolution:
+def solve(scene: Scene, who: EveryRing, *, progress: Callable[[Progress], object] | None = None) -> EveryRingSolution:
     """The answer of every ring."""
 
 
@@ -44,17 +46,17 @@ def solve(
     scene: Scene,
     who: MembraneLaw | LawInterval | OnDemand | None = None,
     *,
-    progress: Callable[[str], object] | None = None,
+    progress: Callable[[Progress], object] | None = None,
 ) -> MembraneSolution:
     """The answer of a law."""
 
 
 @checked
-def solve(scene: Scene, who: Who = None, *, progress: Callable[[str], object] | None = None) -> Solution:
+def solve(scene: Scene, who: Who = None, *, progress: Callable[[Progress], object] | None = None) -> Solution:
     """The answer to a scene, a `MotionSolution` to one with [motion].
 
-    progress: is told in words, as `print` would be, what is being done and how far it is; of motions with the steps
-    and the time used and left.
+    progress: is called, as `print` would be, with a `Progress`: what is being done, and where it can be counted how far
+    it is, with the time used and left.
 
     A law gives the curtain as a membrane. Bounds of a scene that asks for them hold for the law, or for its rings if it
     is an interval; the curtain is then that of the upper bound, by the inner law.
@@ -82,10 +84,10 @@ def _solve(scene: Scene, who: Who) -> Solution:
         return solve_motion(scene, default_law() if law is None else law)
     if isinstance(who, EveryRing):
         return solve_every_ring(scene, who)
-    answer = _solve_alone(scene, who)
-    others = []
+    begun, count = time.monotonic(), len(scene.combination)
+    answer, others = _solve_alone(scene, who), []
     for number, one in enumerate(scene.combination, 1):
-        with part_of(f"combination {one.name}, {number} of {len(scene.combination)}"):
+        with part_of(f"combination {one.name}, {number} of {count}", number, count + 1, begun):
             others.append((one, _solve_alone(combined(scene, one), who)))
     with part_of("forces on a coarser mesh"):
         return replace(answer, combinations=tuple(others), coarser=_coarser(answer, who))
@@ -120,9 +122,8 @@ def _coarser(answer: MembraneSolution, who: Who) -> CurtainSolution | None:
 
 def combined(scene: Scene, combination: Combination) -> Scene:
     """The scene with each load times its factor."""
-    keys = ("force", "pressure", "mass")
     items = tuple(
-        scaled(item, getattr(combination, item.kind), keys) if isinstance(item, LiveLoad) else item
+        scaled(item, combination.factor(item.kind), FACTORED) if isinstance(item, Load) else item
         for item in scene.items
     )
     return replace(scene, items=items, combination=(), weight=combination.weight)
@@ -134,7 +135,7 @@ def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -
         raise InputError(f"solve takes a law, OnDemand(cell) or EveryRing(cell), not a {type(law).__name__}")
     if law is None:
         law = read_law_interval() if scene.solver.is_bounded else default_law()
-    law = with_material(law, dict(scene.material), f"{scene.source}: [material]")
+    scene, law = meet(scene, law)
     inner, law, outer = (law.inner, law.law, law.outer) if isinstance(law, LawInterval) else (law, law, None)
     check_sizes(scene, None if law.cell is None else law.cell.r1_mm)
     if scene.solver.is_plastic:

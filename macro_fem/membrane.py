@@ -36,9 +36,11 @@ from macro_fem.output.pictures import (
 from macro_fem.rings.curtain import curtain_of, read_told
 from macro_fem.rings.field import RingField
 from macro_fem.rings.localize import localize
+from macro_fem.scene.loads import edge_shares
 from macro_fem.scene.meshing.outline_files import write_outline
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.tables import Combination
+from macro_fem.scene.support_kinds import Track
+from macro_fem.scene.tables import Bar, Combination
 from macro_fem.solvers.status import Status
 from macro_fem.summary import Asked, Bounds, CombinationRow, CurtainNumbers, CurtainSummary, LoadStep, Order
 from rve.common import check_out_file, checked, csv_text, write_text
@@ -101,6 +103,9 @@ class MembraneSolution(Solution):
         if (demand := self.demand) is not None:
             asked, wall_s = demand.asked(), demand.turns[-1].wall_s
             numbers = replace(numbers, status=demand.status, message=demand.message, wall_s=wall_s)
+        else:  # of all that was solved
+            wall_s = sum(step.wall_s for step in self._shown) + sum(one.summary.wall_s for _, one in self.combinations)
+            numbers = replace(numbers, wall_s=wall_s)
         if self.combinations:
             answers = [(one, found.summary) for one, found in self.combinations]
             rows = combination_rows(answers)
@@ -164,11 +169,13 @@ class MembraneSolution(Solution):
 
     @checked
     def write_report(self, path: str | Path, inputs: Sequence[Path | None] = ()) -> None:
-        """Write a report as PDF: scene, shape, order, forces, factors, limits, checksums of `inputs` (matplotlib)."""
-        Pictures(picture=False, report=Path(path)).check(inputs=inputs)
+        """Write a report as PDF: drawings with dimensions, every support force, order, factors, limits, checksums of
+        `inputs`; InputError without typst (extra `report`), or pyvista for a curtain in space."""
+        Pictures(picture=False, report=Path(path)).check(self.scene, inputs=inputs)
         from macro_fem.report import write_report
 
-        write_report(path, self.loaded, self.summary, inputs)
+        others = [(one.name, found.summary) for one, found in self.combinations]
+        write_report(path, self.loaded, self.summary, others, inputs)
 
     @checked
     def write_dxf(self, path: str | Path) -> None:
@@ -208,25 +215,38 @@ def order(solution: CurtainSolution, summary: CurtainNumbers) -> Order:
     are areas over the area of a cell of the weave, rounded; they, weave and radii are None for a law without rings, and
     the material where the law does not tell the strength of rings. `hooks` counts the points
     that are held one by one, `hook_pitch_mm` is their distance along the mesh, None where there is no row of them.
+    `track_mm` and `bars_mm` are the lengths of all tracks, None without any, and of the edges that have bars.
     """
-    width, height = solution.problem.scene.curtain.extent(solution.problem.mesh.mesh.p.T).tolist()
-    points = {int(node) for one in solution.problem.supports.held if not len(one.facets) for node in one.nodes}
-    info, cells = solution.problem.law.cell, None
+    problem = solution.problem
+    scene, disc, mesh = problem.scene, problem.disc, problem.mesh.mesh
+    width, height = scene.curtain.extent(mesh.p.T).tolist()
+    points = {int(node) for one in problem.supports.held if not len(one.facets) for node in one.nodes}
+    info, cells, area = problem.law.cell, None, float(disc.cell_area.sum())
     if info is not None and info.weave is not None:
-        cells = float(solution.problem.disc.cell_area.sum()) / math.prod(info.sides_mm)
+        cells = area / math.prod(info.sides_mm)
     rings = info if cells is not None else None
+    bars, tracks = scene.of(Bar), scene.of(Track)
     return Order(
         mesh_width_mm=width,
         mesh_height_mm=height,
+        area_m2=1e-6 * area,
+        holes=1 - (len(np.unique(mesh.t)) - mesh.facets.shape[1] + mesh.t.shape[1]),  # Euler's formula
         cells=None if cells is None else round(cells),
         rings=None if cells is None or rings is None else round(cells * rings.cell().weave.classes),
         weave=rings and rings.weave,
         r1_mm=rings and rings.r1_mm,
         r2_mm=rings and rings.r2_mm,
+        outer_diameter_mm=rings and 2.0 * (rings.r1_mm + rings.r2_mm),
+        inner_diameter_mm=rings and 2.0 * (rings.r1_mm - rings.r2_mm),
+        wire_mm=rings and 2.0 * rings.r2_mm,
         mass_kg=summary.mass_kg,
         hooks=len(points),
         hook_pitch_mm=next((one.pitch_mm for one in summary.support_forces if one.pitch_mm is not None), None),
+        track_mm=sum(one.curve(problem.mesh.border.line("top", one.where), one.where).length for one in tracks) or None,
+        bars=len(bars),
+        bars_mm=sum(float(edge_shares(problem.mesh, disc, one.edge).sum()) for one in bars),
+        bars_kg=sum(one.mass for one in bars),
         material=summary.ring_material,
-        held_width_mm=float(np.ptp(solution.x[solution.problem.supports.mask.any(axis=1), 0])),
+        held_width_mm=float(np.ptp(solution.x[problem.supports.mask.any(axis=1), 0])),
         lowest_point_mm=summary.lowest_point_mm,
     )

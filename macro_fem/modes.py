@@ -30,16 +30,18 @@ from macro_fem.fem.discretization import ELEMENTS
 from macro_fem.job import solve_membrane
 from macro_fem.motion.stage import TONNE, masses_of, mesh_masses, pushed_points, scene_at
 from macro_fem.motion_summary import ModesSummary
+from macro_fem.output import plans
 from macro_fem.output.images import save_picture
-from macro_fem.output.pictures import Pictures, draw_all
+from macro_fem.output.pictures import Drawings, Pictures, draw_all
 from macro_fem.output.space_view import add_supports
 from macro_fem.output.told import loads_in_words
 from macro_fem.scene.supports import build_supports
 from macro_fem.scene.tables import Bar, Wind
 from rve.common import Array, InputError, NotConverged, job, versions
 from rve.common.drawing.plane import Scale
-from rve.common.drawing.space import THREE_QUARTERS, add, add_length, below, look, new_plotter, surface
+from rve.common.drawing.space import THREE_QUARTERS, add, add_length, look, new_plotter, surface
 from rve.common.files import write_mesh_file
+from rve.common.optional import Figure, Plotter
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ the power of 1 - roughness by which others are too large. Larger values count mo
 SQUARE = [[0, 1], [1, 2]]
 """Places in triples (11, 12, 22) of the components of their tensors."""
 RECORD = "modes.json"
-SHOWN = 0.15
+SHOWN, REPORTED = 0.15, 3
 """The largest displacement of a shape in pictures over the size of the curtain."""
 
 
@@ -258,15 +260,21 @@ def _solver(A: sparse.spmatrix, C: sparse.spmatrix) -> Callable[[Array], Array]:
 
 
 def run_modes(
-    scene_path: Path, law_path: Path | None, out: Path, *, number: int = 6, picture: bool = True
+    scene_path: Path,
+    law_path: Path | None,
+    out: Path,
+    *,
+    number: int = 6,
+    picture: bool = True,
+    report: Path | None = None,
 ) -> ModesSummary:
     """Find natural frequencies of the scene in a file, write modes.json, modes.vtu and modes.png; the summary.
 
     Line loads are those of elastic rings where rigid ones leave them open. InputError in one sentence for what cannot
     be read or told, NotConverged where the curtain at rest is none, NotDrawn, with all else in place, for the picture.
     """
-    Pictures(picture, stem="modes").check(in_space=True)
     scene, law, inputs = read_job(scene_path, law_path, out, RECORD)
+    Pictures(picture, report=report, stem="modes").check(scene, inputs, in_space=True)
     found = solve_membrane(scene_at(scene, 0.0), law).loaded
     modes, problem = find_modes(found, number), found.problem
     summary = ModesSummary(
@@ -284,7 +292,16 @@ def run_modes(
     )
     with job(out, RECORD, summary, inputs) as folder:
         write_shapes(folder / "modes.vtu", modes)
-    draw_all(out, RECORD, summary, {"modes.png": lambda path: draw_shapes(path, modes)} if picture else {}, inputs)
+    drawings: Drawings = {"modes.png": lambda path: draw_shapes(path, modes)} if picture else {}
+    if report is not None:
+        from macro_fem.motion_report import write_modes_report
+
+        def draw(width: float) -> Figure:
+            return plans.printed(plot_shapes(modes, REPORTED), width)
+
+        told = str(report.absolute())
+        drawings[told] = lambda path: write_modes_report(path, scene, summary, draw, inputs)
+    draw_all(out, RECORD, summary, drawings, inputs)
     return summary
 
 
@@ -299,11 +316,11 @@ def write_shapes(path: Path, modes: Modes) -> None:
     write_mesh_file(path, meshio.Mesh(rest, cells, point_data=fields))
 
 
-def draw_shapes(path: Path, modes: Modes) -> None:
-    """The shapes side by side, each at `SHOWN` of the size of the curtain, as PNG."""
+def plot_shapes(modes: Modes, most: int) -> Plotter:
+    """At most so many shapes side by side, each at `SHOWN` of the size of the curtain."""
     problem, rest = modes.solution.problem, padded(modes.solution.corners)
     cells = counterclockwise(problem.mesh.mesh.p.T, problem.mesh.mesh.t.T)
-    shapes = modes.shapes[:, : len(rest)]
+    shapes = modes.shapes[:most, : len(rest)]
     plotter, scale = new_plotter(len(shapes)), Scale("displacement over the largest", 0.0, 1.0, 1.0)
     for panel, shape in enumerate(shapes):
         plotter.subplot(0, panel)
@@ -311,8 +328,15 @@ def draw_shapes(path: Path, modes: Modes) -> None:
         drawn[scale.label] = np.linalg.norm(shape, axis=1)
         add(plotter, f"shape {panel + 1}", drawn, scale)
         add_supports(plotter, modes.solution, problem.mesh.size)
-        add_length(plotter, below(rest), problem.mesh.size)
+        add_length(plotter, rest, problem.mesh.size)
         look(plotter, THREE_QUARTERS)
+    return plotter
+
+
+def draw_shapes(path: Path, modes: Modes) -> None:
+    """The shapes side by side beneath their frequencies, as PNG."""
     each = zip(modes.frequencies_Hz, modes.multiplicity, strict=True)
     words = (f"{one:.3g} Hz ({count} modes)" if count > 1 else f"{one:.3g} Hz" for one, count in each)
-    save_picture(path, plotter, ", ".join(words))
+    numbered = [f"{number}: {one}" for number, one in enumerate(words, 1)]
+    plotter = plot_shapes(modes, len(modes.shapes))
+    save_picture(path, plotter, "natural frequencies and their shapes", numbered)

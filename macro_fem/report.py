@@ -1,6 +1,6 @@
-"""The report of a run: two pages of A4, or more of long tables, as PDF, vector graphics by matplotlib."""
+"""The report of a curtain at rest: what its pages say, which `macro_fem.output.pages` sets as PDF."""
 
-import textwrap
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -8,29 +8,15 @@ from typing import Any
 import numpy as np
 
 from macro_fem.curtain import CurtainSolution
-from macro_fem.judged import first_of_largest, links, spot_loads
-from macro_fem.output.pictures import plot_line_loads, plot_utilisation
-from macro_fem.output.told import (
-    combination_lines,
-    components,
-    lean_note,
-    limit_line,
-    loads_in_words,
-    order_lines,
-    verdict,
-)
-from macro_fem.summary import CurtainSummary, SupportForce
-from rve.common import atomic_path, checksum, digits
-from rve.common.drawing.plane import BLUE, VERMILION, as_typed, new_figure
-from rve.common.optional import Axes, Figure
+from macro_fem.judged import asked_of_rings, first_of_largest, links
+from macro_fem.output import plans
+from macro_fem.output.pages import GAP, HIGH, PAGE, Chapter, Headline, PageTable, Picture, write_pages
+from macro_fem.output.told import lean_note, limit_line, loads_in_words
+from macro_fem.scene.support_kinds import Track
+from macro_fem.scene.tables import in_3d
+from macro_fem.summary import CombinationRow, CurtainSummary, SupportForce
+from rve.common import digits
 
-A4 = (8.27, 11.69)
-WIDTH = 112
-"""Characters of a line."""
-TOP, FOOT, LINE, FEWEST = 0.93, 0.05, 0.0138, 8
-"""Where text begins and ends on a page, the height of a line, and the fewest lines of a section that are parted."""
-MOST_ROWS, ROW = 44, "{:<31}{:<18}{:<20}{:<10}{}"
-"""Most rows in the table of forces, those with the largest ones, and the form of a row."""
 LIMITS = (
     "Rings are tori in contact without friction. Where the mesh is locked it gives no more, or as much as its rings "
     "bend; friction would hold folds that are shown as free to slip.",
@@ -44,169 +30,344 @@ LIMITS = (
     "the load combinations, if there are any.",
 )
 """What holds for every answer by a law."""
+WIDE = 2.0
+"""A sheet so many times wider than high is drawn over the whole width."""
+NOISE = 1e-4
+"""Components of forces below this part of the largest one are shown as 0."""
+AS_GIVEN, MOST_CASES = "as given", 5
+"""The loads without partial factors; so many cases are in one table of design forces."""
 
 
 def write_report(
-    path: str | Path, solution: CurtainSolution, summary: CurtainSummary, inputs: Iterable[Path | None] = ()
-) -> None:
-    """Write the report as PDF: scene with dimensions, shape, order; then forces, factors, limits, versions.
-
-    `inputs`: files whose checksums the report states. InputError if the file cannot be written.
-    """
-    from matplotlib.backends.backend_pdf import PdfPages
-
-    title = f"Curtain of ring mesh: {Path(solution.problem.scene.source).stem}"
-    first = _page(title)
-    _draw_scene(solution, first.add_axes((0.1, 0.56, 0.8, 0.29)))
-    shape = first.add_axes((0.14, 0.24, 0.74, 0.28))
-    plot_line_loads(solution, shape).legend().remove()
-    shape.set_title("")
-    shape.set_title("As it hangs: largest principal line load, and its direction", fontsize=8, loc="left")
-    words, holds = verdict(summary)
-    forces = _largest_forces(summary) if summary.envelope is not None else _forces(summary.support_forces)
-    forces = [*forces, (0.0, "none", "")]
-    size, name, _ = forces[first_of_largest([size for size, *_ in forces])]
-    largest = f"Largest force of a support: {digits(size)} N ({name})"
-    _section(first, 0.945, words, [largest], BLUE if holds else VERMILION)
-    mesh, *more = (line.strip().removeprefix("order: ") for line in order_lines(summary.order))
-    joint, stress = summary.ring_joint, summary.ring_yield_N_per_mm2
-    closed = {None: "", "welded": "welded, "}.get(joint, "bent and not welded, ")
-    rings = f"rings {closed}yield stress {'not known' if stress is None else f'{stress:g} N/mm2'}"
-    order = [mesh, *more, rings, f"mean height {summary.mean_height_mm:.1f} mm"]
-    _section(first, 0.18, "What to order, and how it hangs", _wrapped(order))
-    pages, y = [first], FOOT
-    loads = "Loads, at x and y in the flat sheet, mm", [loads_in_words(solution.problem.scene)], False
-    for head, lines, is_table in (loads, *_sections(summary, filter(None, inputs))):
-        left = _wrapped(lines, is_table)
-        while left:
-            if (room := int((y - FOOT) / LINE) - 3) < min(len(left), FEWEST):
-                pages.append(_page(title))
-                y, room = TOP, int((TOP - FOOT) / LINE) - 3
-            y = _section(pages[-1], y, head, left[:room], is_table=is_table)
-            left = left[room:]
-    if y > 0.42 and summary.utilisation_max is not None:
-        used = pages[-1].add_axes((0.14, 0.1, 0.74, y - 0.14))
-        plot_utilisation(solution, used).legend().remove()
-        used.set_title("Where the rings are used", fontsize=8, loc="left")
-    for number, page in enumerate(pages, 1):
-        page.text(0.92, 0.03, f"page {number} of {len(pages)}", size=8, ha="right")
-    told = {"Title": title, "Creator": "macro_fem", "CreationDate": None}
-    with atomic_path(path) as temporary, PdfPages(temporary, metadata=told) as file:
-        for page in pages:
-            file.savefig(as_typed(page))
+    path: str | Path, solution: CurtainSolution, summary: CurtainSummary,
+    combinations: Iterable[tuple[str, CurtainSummary]] = (), inputs: Iterable[Path | None] = (),
+) -> None:  # fmt: skip
+    """Write the report of a curtain at rest: verdict, drawings with dimensions, every support force under every one of
+    the named combinations, order, factors, limits, versions and checksums of `inputs`. InputError as `write_pages`."""
+    cases = [(AS_GIVEN, summary), *combinations]
+    nodes = Chapter("Forces at the nodes of held edges", tables=_by_case(cases, is_single=False))
+    sections = [
+        _forces(cases),
+        _factors(solution, cases),
+        _order(solution, summary),
+        *_further(summary),
+        _limits(summary),
+        nodes,
+    ]
+    sections = [one for one in sections if one.text or one.tables]
+    verdict = Headline(verdict_lines(summary), summary.holds if summary.status == "converged" else False)
+    write_pages(path, solution.problem.scene, verdict, _first_page(solution), sections, summary.versions, inputs)
 
 
-def _page(title: str) -> Figure:
-    """A page with its head."""
-    figure = new_figure(*A4)
-    figure.set_layout_engine("none")
-    figure.text(0.08, 0.955, title, size=15, weight="bold")
-    return figure
+def verdict_lines(summary: CurtainSummary) -> list[str]:
+    """Whether the curtain holds, and by which factor; what governs; the largest force."""
+    factor, force = summary.governing_factor, digits(summary.governing_force_N, 4)
+    under = "" if summary.governing_combination is None else f" under {summary.governing_combination}"
+    if summary.status != "converged":
+        first = f"No verdict, {summary.status}: {summary.message}"
+    elif factor is None or summary.holds is None:
+        first = "Only forces: nothing is loaded whose strength is known"
+    else:
+        most = "of at most " if summary.governing_note else ""
+        verb = "holds with a" if summary.holds else "does NOT hold:"
+        first = f"The curtain {verb} factor {most}{digits(factor, 4)}{under}"
+    place = f", {summary.governing_place}" if summary.governing_place else ""
+    second = f"First to give: {summary.governing_link}{place}." if summary.governing_link else ""
+    unsure = " Uncertain: see limits." if summary.single_forces_note else ""
+    third = f"Largest force of a single support: {force} N{_whose(summary)}.{unsure}"
+    return [first, *filter(None, [second]), third]
 
 
-def _wrapped(lines: Iterable[str], is_table: bool = False) -> list[str]:
-    """Lines as long as fit a page, which begin with a capital letter; those of tables are as they are."""
-    each = ([line] if is_table else textwrap.wrap(line[:1].upper() + line[1:], WIDTH) for line in lines)
-    return [part for parts in each for part in parts]
+def _whose(summary: CurtainSummary) -> str:
+    """Which point has the largest force, and under which combination; the first of mirrored ones."""
+    if (most := summary.envelope) is not None and most.support_forces:
+        top = most.support_forces[first_of_largest([one.force_N for one in most.support_forces])]
+        return f" at {top.point}{_of(summary, top.support_number)}, under {top.combination}"
+    each = [(one.size_N, f"{one.point}{_of(summary, k)}") for k, held in _supports(summary) for one in held.points]
+    return f" at {each[first_of_largest([size for size, _ in each])][1]}" if each else ""
 
 
-def _section(
-    page: Figure, y: float, title: str, text: list[str], colour: str = "#111111", is_table: bool = False
-) -> float:
-    """A title and lines of text below the height `y`; the height below them."""
-    head = textwrap.wrap(title[:1].upper() + title[1:], 90)
-    page.text(0.08, y, "\n".join(head), size=10, weight="bold", va="top", color=colour, linespacing=1.25)
-    y -= 0.006 + 0.0148 * len(head)
-    family = "monospace" if is_table else "sans-serif"
-    page.text(0.08, y, "\n".join(text), size=8 if is_table else 9, family=family, va="top", linespacing=1.25)
-    return y - LINE * len(text) * (0.9 if is_table else 1.0) - 0.015
+def _of(summary: CurtainSummary, number: int) -> str:
+    return f" of support {number}" if len(summary.support_forces) > 1 else ""
 
 
-def _sections(summary: CurtainSummary, inputs: Iterable[Path]) -> Iterable[tuple[str, Iterable[str], bool]]:
-    """Titles and lines of the further pages, and whether the lines are a table."""
-    coarse = "at most " if summary.utilisation_too_low else ""
-    is_combined, given = summary.combinations is not None, links(summary, summary.support_forces)
-    factors = [f"{one.name}: at {coarse * (one.name == 'mesh')}{digits(one.factor)} times the load" for one in given]
-    if is_combined:
-        yield "Load combinations", combination_lines(summary), False
-    of = " without partial factors" * is_combined
-    factors += filter(None, [limit_line(summary)])
-    yield f"What gives first{of}", factors or ["nothing whose strength is known is loaded"], False
-    own = ROW.format("support", "x y in sheet, mm", "x y (z) hung, mm", "force, N", "its x y (z), N")
-    tables = [(f"Forces of supports{of}", own, _forces(summary.support_forces))]
-    if is_combined:
-        head = ROW.format("support", "x y in sheet, mm", "", "force, N", "under")
-        tables.insert(0, ("Largest forces of supports under the combinations", head, _largest_forces(summary)))
-    for title, head, rows in tables:
-        shown = sorted(sorted(range(len(rows)), key=lambda number: -rows[number][0])[:MOST_ROWS])
-        most = "" if len(shown) == len(rows) else f", the {len(shown)} largest of {len(rows)}"
-        yield f"{title}{most}", [head, *(rows[number][2] for number in shown)], True
-    yield (
-        "Assumptions and limits",
-        filter(None, [*LIMITS, summary.governing_note, summary.single_forces_note, lean_note(summary)]),
-        False,
+def _first_page(solution: CurtainSolution) -> list[list[Picture]]:
+    """Drawings with dimensions and loads; in space plan, side and a view, in the plane how it hangs."""
+    scene, half = solution.problem.scene, 0.5 * (PAGE - GAP)
+    loads = f"Flat sheet with its supports and loads: {loads_in_words(scene) or 'none'}. Dimensions in mm."
+    is_wide = bool(np.divide(*scene.curtain.extent(solution.problem.mesh.mesh.p.T)) > WIDE)
+    sheet = Picture(lambda width: plans.draw_sheet(solution, width, HIGH), PAGE if is_wide else half, loads)
+    if not scene.in_space:
+        words = "As it hangs: largest line load, and its direction; dashed: before deformation."
+        hung = Picture(lambda width: plans.draw_hung(solution, width, HIGH), half, words)
+        return [[sheet], [hung]] if is_wide else [[sheet, hung]]
+    slim = 34.0 if plans.side_is_slim(solution) else half
+    view = Picture(lambda width: plans.draw_view(solution, width), half, "In space, with line loads and forces.")
+    rest = PAGE if is_wide else PAGE - GAP - slim
+    above = Picture(lambda width: plans.draw_plan(solution, width, HIGH), rest, _plan_words(solution))
+    side = Picture(lambda width: plans.draw_side(solution, width, HIGH), slim, "From the left side.")
+    return [[sheet], [view, side], [above]] if is_wide else [[sheet, view], [above, side]]
+
+
+def _plan_words(solution: CurtainSolution) -> str:
+    """What a plan shows, and of each track its length and the distance of its runners."""
+    words = ["Plan, seen from above"]
+    for item, held in zip(solution.problem.scene.support, solution.problem.supports.held, strict=True):
+        if isinstance(item, Track):
+            curve = plans.track_of(solution, item)
+            told = f"track {digits(curve.length, 5)} mm long"
+            if item.has_hooks and len(held.nodes) > 1:
+                apart = digits(item.drawn * curve.length / (len(held.nodes) - 1), 4)
+                told += f", {len(held.nodes)} runners {apart} mm apart along it"
+            words.append(f"{told}{f', {item.drawn:g} of it covered' if item.drawn < 1.0 else ''}")
+    return f"{'; '.join(words)}."
+
+
+def _forces(cases: Sequence[tuple[str, CurtainSummary]]) -> Chapter:
+    """The design force of each support and point, the supports in a line each, and all forces under every case."""
+    summary = cases[0][1]
+    most, each = summary.envelope, _all_forces(cases, is_single=True)
+    each |= {key: row for key, row in _all_forces(cases, is_single=False).items() if len(key) == 1}
+    shown = cases if most is not None and len(cases) <= MOST_CASES else []
+    hung = {(number, *_at(point)): point for number, one in _supports(summary) for point in one.points}
+    largest = (
+        {}
+        if most is None
+        else {
+            (
+                one.support_number,
+                *([] if one.point is None else [round(one.x_mm or 0.0, 6), round(one.y_mm or 0.0, 6)]),
+            ): one
+            for one in (*most.support_forces, *most.support_sums)
+        }
     )
-    versions = ", ".join(f"{key} {value}" for key, value in summary.versions.items())
-    yield "Versions and files", [versions, *(f"SHA-256 of {one.name}: {checksum(one)}" for one in inputs)], False
-
-
-def _forces(supports: Sequence[SupportForce]) -> list[tuple[float, str, str]]:
-    """Size, name and row of each force: those of single points, and of each edge or area the sum."""
     rows = []
-    for number, one in enumerate(supports, 1):
-        of = f" of support {number}" if len(supports) > 1 else ""
-        parts: list[tuple[str, Sequence[float], Sequence[float], Sequence[float]]]
-        parts = [(f"{one.support}{of}, sum", (), (), one.force_N)]
-        if one.largest_force_per_ring_N is not None:
-            parts = [(f"{part.point}{of}", part.at_mm, part.place_mm, part.force_N or ()) for part in one.points]
-        for name, *places, force in parts:
-            at, place = (" ".join(f"{round(x)}" for x in where) for where in places)
-            size = float(np.linalg.norm(force))
-            rows.append((size, name, ROW.format(name, at, place, digits(size), components(*force))))
+    for key, (name, *forces) in each.items():
+        place = places_of(hung[key]) if key in hung else 5 * [""]
+        top = [_size(forces[0])] if most is None else [digits(largest[key].force_N, 4), largest[key].combination]
+        rows.append([name, *place, *(_size(force) for force in forces[: len(shown)]), *top])
+    end = ["force, N"] if most is None else ["largest, N", "under"]
+    head = ["point", "x", "y", "x", "y", "z", *(name for name, _ in shown), *end]
+    groups = [("", 1), ("in sheet, mm", 2), ("hung, mm", 3), ("force, N", len(shown)), ("", len(end))]
+    text = "" if most is None else f", the largest under any of {len(cases) - 1} load combinations"
+    design = PageTable(f"Design forces{text}", head, rows, [one for one in groups if one[1]])
+    tables = [one for one in (design, _supports_table(summary)) if one.rows]
+    return Chapter("Forces of supports", tables=[*tables, *_by_case(cases, is_single=True)])
+
+
+def _supports(summary: CurtainSummary) -> list[tuple[int, SupportForce]]:
+    return list(enumerate(summary.support_forces, 1))
+
+
+def _at(point: Any) -> tuple[float, float]:
+    return round(point.at_mm[0], 6), round(point.at_mm[1], 6)
+
+
+def places_of(point: Any) -> list[str]:
+    return [f"{round(one)}" for one in (*point.at_mm[:2], *in_3d(tuple(point.place_mm)))]
+
+
+def _size(force: Sequence[float]) -> str:
+    return digits(math.hypot(*force), 4)
+
+
+def _supports_table(summary: CurtainSummary) -> PageTable:
+    """Each support in a row: what it holds, its largest force at a point and per ring, and what a point bears."""
+    head = [
+        "no.",
+        "support",
+        "points",
+        "apart in mesh, mm",
+        "held edge, mm",
+        "largest at a point, N",
+        "per ring, N",
+        "capacity, N",
+    ]
+    rows = []
+    for number, one in _supports(summary):
+        optional = (one.largest_force_per_ring_N, one.capacity_N)
+        rows.append([
+            f"{number}", one.support, f"{one.nodes_held}", _or_none(one.pitch_mm), _or_none(one.length_held_mm or None),
+            digits(one.largest_nodal_force_N, 4), *map(_or_none, optional),
+        ])  # fmt: skip
+    return PageTable("Supports, loads as given", head, rows)
+
+
+def _or_none(value: float | None, count: int = 4) -> str:
+    return "" if value is None else digits(value, count)
+
+
+def _all_forces(cases: Sequence[tuple[str, CurtainSummary]], *, is_single: bool) -> dict[tuple[Any, ...], list[Any]]:
+    """Name, and force under every case, of each point by its support and place, then of the sum by the support alone;
+    of supports with single points, or of held edges."""
+    rows = dict[tuple[Any, ...], list[Any]]()
+    for number, (_, summary) in enumerate(cases):
+        for support, one in _supports(summary):
+            if (one.largest_force_per_ring_N is not None) != is_single:
+                continue
+            of = _of(summary, support)
+            each = [((support, *_at(point)), f"{point.point}{of}", point.force_N or ()) for point in one.points]
+            for key, name, force in [*each, ((support,), f"sum of {one.support}{of}", one.force_N)]:
+                rows.setdefault(key, [name, *len(cases) * [()]])[number + 1] = force
     return rows
 
 
-def _largest_forces(summary: CurtainSummary) -> list[tuple[float, str, str]]:
-    """Size, name and row of the largest force of each single point, and of each edge or area the largest sum."""
-    supports, most, rows = summary.support_forces, summary.envelope, []
-    assert most is not None
-    for one in (*most.support_sums, *most.support_forces):
-        is_sum = one.point is None
-        is_single = supports[one.support_number - 1].largest_force_per_ring_N is not None
-        if is_sum != is_single:
-            of = f" of support {one.support_number}" if len(supports) > 1 else ""
-            name = f"{one.support}{of}, sum" if is_sum else f"{one.point}{of}"
-            at = "" if one.x_mm is None or one.y_mm is None else f"{round(one.x_mm)} {round(one.y_mm)}"
-            size, under = one.force_N, one.combination
-            rows.append((size, f"{name}, {under}", ROW.format(name, at, "", digits(size), under)))
-    return rows
+def _by_case(cases: Sequence[tuple[str, CurtainSummary]], *, is_single: bool) -> list[PageTable]:
+    """Forces and their components at all points of supports with single points, or of held edges, and their sums."""
+    ordered = list(_all_forces(cases, is_single=is_single).values())
+    if not ordered:
+        return []
+    d = max(len(force) for row in ordered for force in row[1:])
+    axes, tables, step = ("x", "y", "z")[:d], list[PageTable](), 3 if d == 3 else 4
+    for begin in range(0, len(cases), step):
+        some = range(begin, min(begin + step, len(cases)))
+        least = [NOISE * max((abs(part) for row in ordered for part in row[k + 1]), default=0.0) for k in some]
+        each = list(zip(some, least, strict=True))
+        body = [
+            [row[0], *(text for k, small in each for text in components_of(row[k + 1], small, d))] for row in ordered
+        ]
+        groups = [("force on the curtain, N", 1), *((cases[k][0], d + 1) for k in some)]
+        title = ("All forces and their components" if is_single else "Nodes of held edges") + ", continued" * bool(
+            begin
+        )
+        tables.append(PageTable(title, ["point", *len(some) * ("size", *axes)], body, groups))
+    return tables
 
 
-def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
-    """The flat sheet with its outline, dimensions, held points and edges, and loads at points."""
-    scene, mesh = solution.problem.scene, solution.problem.mesh.mesh
-    ax.plot(*mesh.p[:, mesh.facets[:, mesh.boundary_facets()]], color="#555555", lw=1.0)
-    for held in solution.problem.supports.held:
-        marker, dot = ("s", 2) if len(held.facets) else ("v", 5)
-        ax.plot(*solution.problem.disc.nodes[held.nodes].T, marker, color="#111111", ms=dot)
-    (x0, y0), (x1, y1) = mesh.p.min(axis=1), mesh.p.max(axis=1)
-    width, height = scene.curtain.extent(mesh.p.T).tolist()
-    size = max(width, height)
-    off = 0.06 * size
+def components_of(force: Sequence[float], least: float, d: int) -> list[str]:
+    """Size and components of a force, with rounding beside the largest as 0; nothing where there is none."""
+    return (
+        [_size(force), *(digits(one) if abs(one) > least else "0" for one in force)] if len(force) else (d + 1) * [""]
+    )
 
-    def span(start: Any, end: Any, at: Any, told: str, **style: Any) -> None:
-        ax.annotate("", start, end, arrowprops={"arrowstyle": "<->", "lw": 0.8, "shrinkA": 0, "shrinkB": 0})
-        ax.text(at[0], at[1], told, va="center", size=8, **style)
 
-    middle: dict[str, Any] = {"ha": "center", "backgroundcolor": "white"}
-    span((x0, y0 - off), (x1, y0 - off), (0.5 * (x0 + x1), y0 - off), f"{width:g} mm", **middle)
-    span((x1 + off, y0), (x1 + off, y1), (x1 + off, 0.5 * (y0 + y1)), f"{height:g} mm", rotation=90, **middle)
-    for row in solution.problem.mesh.hooks.values():
-        first, (x, y) = np.add(mesh.p[:, row.nodes[:2]].T, [0.0, 0.6 * off])
-        span(first, (x, y), (x + 0.2 * off, y), f"{len(row.nodes)} points, {row.pitch:g} mm apart")
-    for _, one in spot_loads(scene):
-        way = np.array(one.force[:2]) / (np.linalg.norm(one.force) or 1.0) * 0.1 * size
-        ax.annotate("", np.add(one.at, way), one.at, arrowprops={"arrowstyle": "->", "color": VERMILION, "lw": 1.5})
-    ax.set_title("Flat sheet, mm", fontsize=8, loc="left")
-    ax.set(xlim=(x0 - off, x1 + 2 * off), ylim=(y0 - 2 * off, y1 + 1.8 * off), aspect="equal")
-    ax.axis("off")
+def _factors(solution: CurtainSolution, cases: Sequence[tuple[str, CurtainSummary]]) -> Chapter:
+    """What gives first at how many times the loads, as given and under each combination."""
+    summary = cases[0][1]
+    given = [[one.name, digits(one.factor, 4), one.text] for one in links(summary, summary.support_forces)]
+    tables = [PageTable("Links, loads as given without partial factors", ("link", "factor", "what gives"), given)]
+    axes = ("x", "y", "z")[: len(summary.total_load_N)]
+    head = ("loads", "yields", "collapses", "largest", "mesh", "at points", "rings at hooks", *axes)
+    rows = []
+    for name, one in cases:
+        used = (one.utilisation_max, *(asked_of_rings(one) if one.utilisation_max is not None else (None, None, None)))
+        factors = (_or_none(value) for value in (one.safety_factor, one.collapse_factor, *used))
+        least = NOISE * max(map(abs, one.total_load_N), default=0.0)
+        rows.append([name, *factors, *components_of(one.total_load_N, least, len(axes))[1:]])
+    groups = [("", 1), ("a ring, at times the loads", 2), ("utilisation, 1: yields", 4), ("sum of loads, N", len(axes))]
+    tables.append(PageTable("Rings", head, rows, groups))
+    if summary.combinations is not None:
+        tables.append(_combinations(summary.combinations))
+    words = "Where the rings are used, 1 is first yield; circles: rings at hooks and other held and loaded points."
+    shown = Picture(lambda width: plans.draw_hung(solution, width, HIGH, used=True), 0.5 * PAGE, words)
+    is_drawn = summary.utilisation_max is not None and not solution.problem.scene.in_space
+    filled = [one for one in tables if one.rows]
+    return Chapter("Factors and the weakest link", (), [[shown]] if is_drawn else [], filled)
+
+
+def _combinations(each: Sequence[CombinationRow]) -> PageTable:
+    """Load combinations with their partial factors, and what gives first under them."""
+    head = ("combination", "partial factors", "answer", "largest force, N", "first yield", "factor", "first to give")
+    rows = []
+    for one in each:
+        parts = ", ".join(f"{name} {value:g}" for name, value in one.factors.items())
+        factors = (_or_none(one.safety_factor), _or_none(one.weakest_factor))
+        first = ", ".join(filter(None, [one.weakest, one.weakest_place]))
+        rows.append([one.name, parts, one.status, digits(one.largest_force_N, 4), *factors, first])
+    return PageTable("Load combinations", head, rows)
+
+
+def _order(solution: CurtainSolution, summary: CurtainSummary) -> Chapter:
+    """What to order: mesh, rings, hooks or runners, tracks and bars."""
+    order = summary.order
+    material = [] if order.material is None else [["metal of the rings", order.material]]
+    joint = {None: "", "welded": ", welded"}.get(summary.ring_joint, ", bent and not welded")
+    stress = summary.ring_yield_N_per_mm2
+    rows = [
+        ["mesh, width by height, pulled along its grain", f"{order.mesh_width_mm:g} x {order.mesh_height_mm:g} mm"],
+        ["area", f"{digits(order.area_m2, 5)} m2"],
+        ["holes", f"{order.holes}"],
+        ["weave", order.weave or "not known"],
+        ["outer diameter of a ring", _with(order.outer_diameter_mm, "mm")],
+        ["inner diameter of a ring", _with(order.inner_diameter_mm, "mm")],
+        ["wire", _with(order.wire_mm, "mm")],
+        ["to the middle of the wire r1, and of the wire r2", f"{_with(order.r1_mm, 'mm')}, {_with(order.r2_mm, 'mm')}"],
+        *material,
+        ["yield stress of the wire", f"{_with(stress, 'N/mm2')}{joint}"],
+        ["rings, in cells of the weave", f"{order.rings}, {order.cells}" if order.rings else "not known"],
+        ["mass of the mesh", f"{digits(order.mass_kg, 4)} kg"],
+        ["points to hang by", f"{order.hooks}"],
+        ["their distance along the mesh", _with(order.hook_pitch_mm, "mm")],
+        ["track", _with(order.track_mm, "mm")],
+        [
+            "bars",
+            f"{order.bars}, {digits(order.bars_mm, 6)} mm long, {digits(order.bars_kg, 6)} kg"
+            if order.bars
+            else "none",
+        ],
+        ["held over a width of", f"{digits(order.held_width_mm, 5)} mm"],
+        ["lowest point", f"y = {digits(order.lowest_point_mm, 5)} mm"],
+        ["mean height", f"y = {digits(summary.mean_height_mm, 5)} mm"],
+    ]
+    shown = [row for row in rows if row[1] != NOT_GIVEN]
+    tables = [PageTable("", ("what", "how much"), shown)]
+    for number, item in enumerate(solution.problem.scene.support, 1):
+        if isinstance(item, Track):
+            parts = plans.track_parts(plans.track_of(solution, item))
+            head = ("part", "shape", "length, mm", "radius, mm", "turns, degrees", "corner before it, degrees")
+            body = [
+                [
+                    f"{k}",
+                    "arc" if one.radius else "straight",
+                    digits(one.length, 5),
+                    *(_or_none(value or None, 4) for value in one[1:]),
+                ]
+                for k, one in enumerate(parts, 1)
+            ]
+            tables.append(
+                PageTable(f"Track of support {number}, from its start; turns to the left are positive", head, body)
+            )
+    return Chapter("What to order", tables=tables)
+
+
+NOT_GIVEN = "none"
+
+
+def _with(value: float | None, unit: str) -> str:
+    return NOT_GIVEN if value is None else f"{digits(value, 6)} {unit}"
+
+
+def _further(summary: CurtainSummary) -> list[Chapter]:
+    """Obstacles, wind, bounds, and nodes of held edges, of a curtain that has them."""
+    sections = []
+    if summary.obstacles:
+        head = ("obstacle", "kind", "nodes touched", "moved by, mm", "x", "y", "z")
+        rows = []
+        for one in summary.obstacles:
+            for k, step in enumerate(one.steps, 1):
+                of = f", step {k}" if len(one.steps) > 1 else ""
+                push = (digits(part, 4) for part in in_3d(tuple(step.reaction_N)))
+                touched = f"{one.nodes_touched}" if k == len(one.steps) else ""
+                rows.append([f"{one.obstacle}{of}", one.kind, touched, digits(step.displacement_mm, 4), *push])
+        sections.append(
+            Chapter("Obstacles", tables=[PageTable("", head, rows, [("", 4), ("force on the curtain, N", 3)])])
+        )
+    if summary.wind:
+        head = ("speed, m/s", "solidity", "drag coefficient", "pressure, N/m2", "front, m2", "layers", "drag, N")
+        rows = [[digits(value, 4) for value in vars(one).values()] for one in summary.wind]
+        sections.append(Chapter("Wind", tables=[PageTable("", head, rows)]))
+    return sections
+
+
+def _limits(summary: CurtainSummary) -> Chapter:
+    """Assumptions and limits in words: those of every answer, and those of this one."""
+    own = [
+        limit_line(summary),
+        summary.governing_note,
+        summary.support_forces_note,
+        summary.single_forces_note,
+        lean_note(summary),
+        *summary.notes,
+    ]
+    own += [summary.strength_note] if summary.utilisation_of_averages_max is None else []
+    return Chapter("Assumptions and limits", [*LIMITS, *(f"{one[:1].upper()}{one[1:]}." for one in own if one)])

@@ -412,18 +412,27 @@ class Decision(Table):
 
 @dataclass(frozen=True, kw_only=True)
 class Order(Table):
-    """The order sheet: width and height of the mesh pulled along its grain; None without rings or hooks."""
+    """The order sheet: width and height of the mesh pulled along its grain; None without rings, hooks or a track."""
 
     mesh_width_mm: float
     mesh_height_mm: float
+    area_m2: float
+    holes: int
     cells: int | None
     rings: int | None
     weave: str | None
     r1_mm: float | None
     r2_mm: float | None
+    outer_diameter_mm: float | None
+    inner_diameter_mm: float | None
+    wire_mm: float | None
     mass_kg: float
     hooks: int
     hook_pitch_mm: float | None
+    track_mm: float | None
+    bars: int
+    bars_mm: float
+    bars_kg: float
     material: str | None
     held_width_mm: float
     lowest_point_mm: float

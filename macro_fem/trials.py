@@ -209,14 +209,14 @@ class Trials:
         """How tasks end, as they do."""
         if self.pool is None:
             for count, (key, task) in enumerate(tasks.items()):
-                with part_of(self._told(key, len(tasks) - count)):
+                with part_of(*self._told(key, len(tasks) - count)):
                     solved = answer_of(*task)
                 yield key, solved
             return
         futures = {self.pool.submit(answer_of, *task): key for key, task in tasks.items()}
         left = set(futures)
         while left:
-            tell(self._told(futures[next(iter(left))], len(left)))
+            tell(*self._told(futures[next(iter(left))], len(left)))
             done, left = wait(left, TICK_S, FIRST_COMPLETED)
             for future in done:
                 try:
@@ -224,16 +224,16 @@ class Trials:
                 except BrokenExecutor as error:
                     raise NotConverged(LOST) from error
 
-    def _told(self, key: Key, left: int) -> str:
-        """Progress: what is solved now, the last answer, how many are left and how long one takes."""
+    def _told(self, key: Key, left: int) -> tuple[str, int, int, float]:
+        """Progress: what is solved now, the last answer, and how many are left, as `tell` takes it."""
         unit, cases = VARIED[self.sought.vary][0], f", {key[1].name}" if key[1] else ""
         now = f"{self.sought.vary} = {key[0]:.6g} {unit}{cases}"
+        counted = self._solved, self._solved + left + self._later, self._began
         if not self._solved:
-            return f"{now}, the first of about {left + self._later} answers"
+            return f"{now}, the first of about {left + self._later} answers", *counted
         last = next(reversed(self.answers.values()))
         told = f"factor {digits(last.factor)}" if last.factor else "no answer"
-        each = digits((time.monotonic() - self._began) / self._solved, 2)
-        return f"{now}, about {left + self._later} answers left, {each} s each; {last.value:.6g} {unit}: {told}"
+        return f"{now}, about {left + self._later} answers left; {last.value:.6g} {unit}: {told}", *counted
 
 
 def answer_of(scene: Scene, who: Who) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from .finite import FiniteMesh as FiniteMesh
 from .geometry import WEAVES as WEAVES
 from .geometry import Cell as Cell
 from .locking.interior_point import DirectOptions as DirectOptions
+from .piece import Piece as Piece
 from .simulation import LoadHistory as LoadHistory
 from .simulation import SimulationOptions as SimulationOptions
 from .simulation import friction_loop as friction_loop

@@ -1,21 +1,32 @@
-"""Command line: `python -m rve table`, `case`, `support`, `simulate`, `sweep`, `study`, each with `--help`.
+"""Command line: `python -m rve table`, `case`, `support`, `ring`, `export`, `simulate`, `sweep`, `study`.
 
 How commands end: `rve.common.commands.command_line`.
 """
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
-from rve.common import SENTENCES, InputError, NotConverged, numbers_of, read_json_object, sidecar_path, tell
+from rve.common import (
+    SENTENCES,
+    InputError,
+    NotConverged,
+    check_out_file,
+    digits,
+    numbers_of,
+    read_json_object,
+    sidecar_path,
+    tell,
+)
 from rve.common.cell_fields import Joint, check_ring_size
 from rve.common.commands.command_line import Group, answer, check_plot, options, parse_load, say, say_next
 from rve.common.commands.sweeps import SweepItem, further_options, run_sweep, sweep_options
-from rve.common.files import check_out_file
 from rve.common.materials import MATERIALS, material_of
+from rve.common.ring_sizes import DEFAULT_RING, RING_SIZES, radii_of, ring_sizes, ring_words
 from rve.common.typed import BadField
 
 MOST_TABLES = 10_000
@@ -36,9 +47,25 @@ def _choice(name: str, *words: str, text: str) -> Any:
 grain_option = _choice(
     "--grain", "y", "x", text="Axis along which rings interlace; x exchanges the axes: 6-in-1 is then its mirror image."
 )
+
+
+def ring_options(kind: Any, several: str = "") -> Any:
+    """The options for the size of a ring, or of `several`; two of them make it."""
+    default = ("", "") if several else ("  [default: 5]", "  [default: 0.5]")
+    trade = "Diameter of the wire as a trade size"
+    return options(
+        click.option("--r1", type=kind, help=f"Radius of a ring's centre circle in mm{several}.{default[0]}"),
+        click.option("--r2", type=kind, help=f"Radius of the wire in mm{several}.{default[1]}"),
+        click.option("--inner", type=kind, help=f"Inner diameter of a ring in mm{several}; with another size."),
+        click.option("--outer", type=kind, help=f"Outer diameter of a ring in mm{several}; with another size."),
+        click.option("--wire", type=kind, help=f"Diameter of the wire in mm{several}; with another size."),
+        click.option("--gauge", help=f"{trade}, '16 awg' or '16 swg'{several}; with another size."),
+        click.option("--ar", type=kind, help=f"Inner diameter over that of the wire{several}; with another size."),
+    )
+
+
 cell_options = options(
-    click.option("--r1", type=float, default=5.0, show_default=True, help="Radius of a ring's centre circle in mm."),
-    click.option("--r2", type=float, default=0.5, show_default=True, help="Radius of the wire in mm."),
+    ring_options(float),
     click.option("--material", help=f"Named material: {', '.join(MATERIALS)}.  [default: steel]"),
     click.option("--density", type=float, help="Density of the rings in kg/m3; by default the material's."),
     click.option("--young", type=float, help="Young's modulus in N/mm2; by default the material's."),
@@ -60,15 +87,15 @@ branch_options = options(
 )
 
 
-def asked_cell(
-    r1: float, r2: float, grain: Any, weave: str, cells: str = "1x1", centres: Any = "plane", **material: Any
-) -> Any:
+def asked_cell(grain: Any, weave: str, cells: str = "1x1", centres: Any = "plane", **ring: Any) -> Any:
     """The cell asked for; InputError for rings that no mesh has."""
     from rve.geometry.cell import Cell
     from rve.geometry.weave import WEAVES
 
-    check_ring_size(r1, "--r1")
-    metal = material_of(material, prefix="--")
+    sizes = {name: ring.pop(name) for name in RING_SIZES}
+    r1, r2 = radii_of(sizes, "--", DEFAULT_RING)
+    check_ring_size(r1, "--r1" if sizes["r1"] else "r1")
+    metal = material_of(ring, prefix="--")
     try:
         nx, ny = (int(part) for part in cells.split("x"))
     except ValueError:
@@ -76,7 +103,7 @@ def asked_cell(
     try:
         return Cell(r1, r2, WEAVES[weave], grain, metal.density_kg_per_mm3, metal, (nx, ny), centres)
     except BadField as error:
-        raise InputError(f"--{error.what}") from None
+        raise InputError(f"{'' if sizes['r2'] is None else '--'}{error.what}") from None
 
 
 def asked_directions(
@@ -133,6 +160,7 @@ def table(out: Path, rings: bool, joint: str | None, branches: Any, reference: A
     if rings:
         found = with_rings(found, mesh, closed)
     write_table(found, out)
+    say(f"rings of {ring_words(mesh.r1, mesh.r2)}")
     _say_of_table(found, out)
     answer(read_json_object(sidecar_path(out)))
     if found.converged.sum() >= FIT_FROM:
@@ -168,13 +196,15 @@ def case(alpha: float, beta: float, plot: Path | None, **cell: Any) -> None:
 
     if plot is not None:
         check_plot(plot)
-    found = solve_table(asked_cell(**cell), ([alpha], [beta]))
+    mesh = asked_cell(**cell)
+    found = solve_table(mesh, ([alpha], [beta]))
     status = str(found.status[0])
     if status != "converged":
         raise NotConverged(f"{status}: {SENTENCES[status]}")
     assert found.cell is not None
     row = {name: column[0] for name, column in found.columns().items() if name in COLUMNS}
-    answer(row | {"areal_mass_kg_per_m2": found.cell.areal_mass_kg_per_m2}, always=True)
+    row |= ring_sizes(mesh.r1, mesh.r2) | {"areal_mass_kg_per_m2": found.cell.areal_mass_kg_per_m2}
+    answer(row, always=True)
     if plot is not None:
         tell(f"drawing {plot}")
         save_figure(plot, draw_case(found).figure)
@@ -204,7 +234,58 @@ def support_command(load: str, branches: Any, reference: Any, **cell: Any) -> No
         raise NotConverged(f"S = {load}: {status}: {SENTENCES[status]}")
     if mesh.bound_note:
         say(mesh.bound_note, err=True)
-    answer(found.row(0), always=True)
+    answer(found.row(0) | ring_sizes(mesh.r1, mesh.r2), always=True)
+
+
+@main.command(name="ring", epilog="Example: rve ring --inner 8 --gauge '16 swg' --weave 6-in-1")
+@cell_options
+def ring_command(**cell: Any) -> None:
+    """Print a ring in both spellings, its mass, where its weave jams, and how many go into a metre of mesh."""
+    from rve.piece import ring_facts
+
+    mesh = asked_cell(**cell)
+    facts = ring_facts(mesh)
+    lines = [
+        f"ring of {ring_words(mesh.r1, mesh.r2)}",
+        f"{1e3 * facts['ring_mass_kg']:.4g} g of {mesh.material.name}, {facts['wire_length_mm']:.4g} mm of wire",
+        f"{mesh.weave.name}: clearance {digits(facts['slack_clearance_mm'])} mm where the mesh is slack; jams at AR "
+        f"{facts['least_aspect_ratio']:.3f}, which is wire of {facts['thickest_wire_at_this_inner_mm']:.4g} mm",
+    ]
+    for name, state in facts["mesh"].items():
+        along, across, rings, mass = (digits(number, 4) for number in state.values())
+        lines.append(
+            f"{name.replace('_', ' ')}: a metre has {across} cells across and {along} along the grain; {rings} rings, "
+            f"{mass} kg a square metre"
+        )
+    answer(facts, "\n".join(lines))
+
+
+@main.command(epilog="Example: rve export --inner 8 --wire 1.6 --size 120x80 --clearance 0.5 --out part.3mf")
+@click.option("--out", required=True, type=FILE, help="File to write: .3mf, .glb or .stl.")
+@click.option("--size", required=True, help="Room for the piece, WIDTHxHEIGHT in mm; its rings are whole.")
+@click.option("--clearance", type=float, help="Least gap of rings in mm; wire is made thinner where need be.")
+@click.option("--load", metavar="ALPHA,BETA", help="Locked under this load, degrees, instead of slack.")
+@cell_options
+def export(out: Path, size: str, clearance: float | None, load: str | None, **cell: Any) -> None:
+    """Write a piece of mesh for printers, CAD or browsers: as many whole rings as there is room for."""
+    from rve.piece import Piece
+    from rve.placed.solids import SOLID_ENDINGS
+
+    check_out_file(out, endings=SOLID_ENDINGS)
+    width, height = numbers_of(size.replace("x", ","), "--size", "WIDTH,HEIGHT")
+    angles: Any = None if load is None else tuple(numbers_of(load, "--load", "ALPHA,BETA"))
+    mesh = asked_cell(**cell)
+    try:
+        piece = Piece.cut(mesh, (width, height), clearance, angles)
+    except InputError as error:
+        raise InputError(f"--{error}") from None
+    thinner = 2.0 * (mesh.r2 - piece.cell.r2)
+    say(*[f"wire is {digits(thinner)} mm thinner than asked for, for the clearance"] * (thinner > 0.0))
+    piece.save(out)
+    say(f"{out}: {piece}")
+    answer({"out": str(out), **piece.record, "wire_thinner_by_mm": thinner})
+    sizes = ("--r1", digits(piece.cell.r1, 6), "--r2", digits(piece.cell.r2, 6), "--weave", piece.cell.weave.name)
+    say_next("rve", "table", *sizes, "--out", out.with_suffix(".csv"), why="where these rings lock")
 
 
 @main.command(
@@ -285,18 +366,18 @@ def simulate(
     epilog="Example: rve sweep --out tables --r1 5,6 --r2 0.5,0.6 --jobs 2 --rings",
 )
 @sweep_options
-@click.option("--r1", required=True, help="Radii of rings' centre circles in mm, with commas.")
-@click.option("--r2", required=True, help="Radii of wires in mm, with commas.")
+@ring_options(str, ", several with commas")
 @click.option("--weave", default="4-in-1", show_default=True, help=f"Weaves, with commas: {', '.join(WEAVE_NAMES)}.")
 @grain_option
 @click.argument("further", nargs=-1, type=click.UNPROCESSED)
-def sweep(out: Path, r1: str, r2: str, weave: str, grain: str, further: tuple[str, ...], **workers: Any) -> None:
-    """Write one table for each weave, r1 and r2, and sweep.csv beside them. FURTHER: options of `rve table`.
+def sweep(out: Path, weave: str, grain: str, further: tuple[str, ...], **more: Any) -> None:
+    """Write one table for each weave and ring, and sweep.csv beside them. FURTHER: options of `rve table`.
 
     The same command again runs only what is not finished. Exit code 1 if a table failed: sweep.csv says why.
     """
-    items = table_items(out, numbers_of(r1, "--r1"), numbers_of(r2, "--r2"), weave.split(","), grain, further)
-    finished = run_sweep(items, out, table_columns, **workers)
+    sizes = {name: text for name in RING_SIZES if (text := more.pop(name)) is not None}
+    items = table_items(out, sizes, weave.split(","), grain, further)
+    finished = run_sweep(items, out, table_columns, **more)
     if finished[0]["rows_converged"] < FIT_FROM:
         return
     first = out / f"{finished[0]['name']}.csv"
@@ -304,15 +385,18 @@ def sweep(out: Path, r1: str, r2: str, weave: str, grain: str, further: tuple[st
 
 
 def table_items(
-    out: Path, r1: Sequence[float], r2: Sequence[float], weave: Sequence[str], grain: str, further: Sequence[str]
+    out: Path, sizes: Mapping[str, str], weave: Sequence[str], grain: str, further: Sequence[str]
 ) -> list[SweepItem]:
-    """One table for each weave, r1 and r2 in mm, with `further` options of `rve table`; InputError for too many."""
-    cells = list(itertools.product(weave, r1, r2))
-    if not 0 < len(cells) <= MOST_TABLES:
-        raise InputError(f"--r1, --r2 and --weave: make {len(cells)} tables, at most {MOST_TABLES} are allowed")
-    further = further_options(further, ("--out", "--r1", "--r2", "--weave", "--grain"))
+    """One table for each weave and each ring of `sizes`, lists with commas by the keys of `RING_SIZES`, with `further`
+    options of `rve table`; InputError for too many."""
+    lists = [text.split(",") if key == "gauge" else numbers_of(text, f"--{key}") for key, text in sizes.items()]
+    count = len(weave) * math.prod(map(len, lists))
+    if count > MOST_TABLES:
+        raise InputError(f"the sizes and --weave: make {count} tables, at most {MOST_TABLES} are allowed")
+    rings = [radii_of(dict(zip(sizes, ring, strict=True)), "--") for ring in itertools.product(*lists)]
+    further = further_options(further, ("--out", *(f"--{key}" for key in (*RING_SIZES, "weave", "grain"))))
     items = []
-    for name, big, small in cells:
+    for name, (big, small) in itertools.product(weave, rings):
         r1_text, r2_text = (repr(float(one)).removesuffix(".0") for one in (big, small))  # another name for each number
         table = out.resolve() / f"{name}_{grain}_r1-{r1_text}_r2-{r2_text}.csv"
         asked = ("--weave", name, "--grain", grain, "--r1", repr(big), "--r2", repr(small))

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rve.common import AnyPath, Array, InputError, checked, number_column, read_as, read_columns, shown
+from rve.common import AnyPath, Array, InputError, checked, read_as, read_columns, shown
 from rve.geometry.weave import FOUR_IN_ONE, Weave
 
 MOST_VALUES = 100_000
@@ -89,7 +89,7 @@ def read_loads(path: AnyPath) -> LoadDirections:
     """Load directions from the columns alpha_deg, beta_deg of a CSV file; raises InputError."""
     with read_as("list of loads", path):
         columns = read_columns(path, LoadDirections._fields, LoadDirections._fields)
-    known = [True] * len(columns["alpha_deg"])
+    known = [True] * len(columns.places)
     if len(known) > MOST_VALUES:
         raise InputError(f"{path}: has {len(known)} load directions, at most {MOST_VALUES} are allowed")
-    return LoadDirections(*(number_column(path, columns, name, MOST_DEGREES, known) for name in LoadDirections._fields))
+    return LoadDirections(*(columns.numbers(name, MOST_DEGREES, known) for name in LoadDirections._fields))

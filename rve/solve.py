@@ -48,10 +48,10 @@ def mark_unlisted(found: Equilibrium, cell: Cell) -> Equilibrium:
 
 def locked_states(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions) -> LockedStates:
     """Locked states of any number of loads (n,), block by block."""
-    blocks = []
+    blocks, begun = [], time.monotonic()
     for first in range(0, len(alpha_deg), BLOCK):
         rows = slice(first, first + BLOCK)
-        with part_of(f"{first} of {len(alpha_deg)} loads solved"):
+        with part_of(f"{first} of {len(alpha_deg)} loads solved", *((first, len(alpha_deg), begun) if first else ())):
             blocks.append(locked_block(alpha_deg[rows], beta_deg[rows], cell, options))
     return blocks[0].join(blocks[1:])
 

@@ -9,22 +9,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common import Array, InputError, Rows, atomic_path, check_belongs, checksum, json_text, require, sidecar_path
+from rve.common import (
+    Array,
+    InputError,
+    Rows,
+    atomic_path,
+    check_belongs,
+    checksum,
+    json_text,
+    require,
+    shown,
+    sidecar_path,
+)
 from rve.common.arguments import checked
-from rve.common.cell_fields import Joint, check_rings
+from rve.common.cell_fields import ArealMass, Joint, check_rings
 from rve.common.files import TABLE_FORMAT, AnyPath, Inputs, check_out_file
 from rve.common.records import ByValue
-from rve.common.texts import csv_text, number_column, read_as, read_columns, read_json_object
-from rve.common.typed import read_typed, types_of
+from rve.common.tensor import IDENTITY, eigenvalues
+from rve.common.texts import Columns, check_header, csv_text, read_as, read_columns, read_json_object
+from rve.common.typed import NAMES, read_entry, read_typed, types_of
 from rve.geometry.cell import CellInfo, read_cell_info
-from rve.geometry.weave import FOUR_IN_ONE
+from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, load_directions, second_pk
 from rve.locking.interior_point import DirectOptions, LockedStates
 
 if TYPE_CHECKING:
@@ -40,9 +52,11 @@ COLUMNS = ["alpha_deg", "beta_deg", *_PARTS["E"], *_PARTS["S"], *_PARTS["x2_mm"]
 COLUMNS += ["R", "min_gap_mm", "contacts", "unique", "status", "iterations"]
 REFERENCE = {"r1_mm", "r2_mm", "b_x_mm", "b_y_mm"}
 """What a sidecar says of the rings and their reference cell at least."""
-_REQUIRED = ("alpha_deg", "beta_deg", "E11", "E12", "E22", "S11", "S12", "S22", "status")
+_LOADS = (_PARTS["S"], ["alpha_deg", "beta_deg"])
+"""Two ways to give the load of a row, of which a file needs one."""
+_KNOWN = [*COLUMNS, "branch", *_PARTS["compliance"], *_PARTS["strength"]]
 _MOST = {"alpha_deg": 360.0, "beta_deg": 360.0, "contacts": 1e9, "unique": 1.0, "iterations": 1e9}
-_MOST |= dict.fromkeys(("E11", "E12", "E22"), 1e3) | dict.fromkeys(("S11", "S12", "S22"), 1e9)
+_MOST |= dict.fromkeys(("E11", "E12", "E22"), 1e3) | dict.fromkeys(("S11", "S12", "S22"), 1e30)
 
 
 @dataclass(frozen=True)
@@ -61,12 +75,16 @@ class Origin:
     joint of the rings, None without their strength; and notes: method, rows by status, versions, wall time.
 
     cell is None for a table whose file does not tell the rings, options where they are not those of this version.
+    Without rings, as of a mesh that was measured: areal_mass_kg_per_m2, None where it is not known, and is_mirrored,
+    whether the mesh is its own mirror image, so that every row stands for two.
     """
 
     cell: CellInfo | None = None
     options: DirectOptions | None = None
     joint: str | None = None
     notes: Mapping[str, Any] = field(default_factory=dict)
+    areal_mass_kg_per_m2: float | None = None
+    is_mirrored: bool = True
 
     def to_dict(self) -> dict[str, Any]:
         """What the sidecar file says, but for the checksum."""
@@ -75,6 +93,9 @@ class Origin:
             metal = self.cell.material
             record |= asdict(self.cell) | {"density_kg_per_mm3": metal and metal.density_kg_per_mm3}
             record = {key: value for key, value in record.items() if value is not None and key != "reference"}
+        elif self.areal_mass_kg_per_m2 is not None:
+            record["areal_mass_kg_per_m2"] = self.areal_mass_kg_per_m2
+        record |= {} if self.is_mirrored else {"is_mirrored": False}
         record |= {} if self.options is None else {"options": asdict(self.options)}
         record |= {} if self.joint is None else {"compliance": "rings", "joint": self.joint}
         return record | dict(self.notes)
@@ -121,10 +142,9 @@ class StrainTable(ByValue):
     def is_mirrored(self) -> bool:
         """Whether the weave is its own mirror image, so that every row stands for two.
 
-        Tables without a sidecar are of the 4-in-1 weave, which is; a weave that is not known here counts as chiral, so
-        that nothing is added to its rows.
+        A weave that is not known here counts as chiral, so that nothing is added to its rows.
         """
-        return FOUR_IN_ONE.is_mirrored if self.cell is None else self.cell.is_mirrored
+        return self.origin.is_mirrored if self.cell is None else self.cell.is_mirrored
 
     @property
     def cell(self) -> CellInfo | None:
@@ -144,6 +164,43 @@ class StrainTable(ByValue):
                 known |= zip(names, known[part].reshape(len(self), -1).T, strict=True)
         order = (*COLUMNS, "branch", *_PARTS["compliance"], *_PARTS["strength"])
         return {name: known[name] for name in order if known.get(name) is not None}
+
+    @classmethod
+    def from_pandas(cls, frame: DataFrame) -> StrainTable:
+        """The table in a pandas DataFrame, see `read_table`; its `attrs` say what a sidecar file does.
+
+        InputError for what is no data frame, and for columns that are missing or no numbers, with their row.
+        """
+        require("pandas", "notebook", "a data frame", "give the path of a CSV file")
+        from pandas import DataFrame, isna
+
+        if not isinstance(frame, DataFrame):
+            got = NAMES.get(type(frame).__name__, type(frame).__name__)
+            what = f"table = {shown(frame)}: expected StrainTable or DataFrame, got {got}"
+            raise InputError(f"{what}; read_table reads a file")
+        header = [" ".join(str(name).split()) for name in frame.columns]
+        check_header("the data frame", header, _PARTS["E"], _KNOWN)
+        cells = (frame.iloc[:, number].tolist() for number in range(len(header)))
+        texts = (["" if isna(value) else str(value) for value in column] for column in cells)
+        places = [f"row {index}" for index in frame.index]
+        table = _table_of(Columns("the data frame", dict(zip(header, texts, strict=True)), places))
+        told: dict[str, Any] = {str(key): value for key, value in frame.attrs.items()}
+        return replace(table, origin=_origin_of(told, "attrs of the data frame:")) if told else table
+
+    @classmethod
+    @checked
+    def from_rows(cls, E: Array, S: Array) -> StrainTable:
+        """The table of strains E (n, 3) and second Piola-Kirchhoff line loads S (n, 3) of any unit, one row each.
+
+        >>> StrainTable.from_rows([[0.1, 0.0, -0.1]], [[2.0, 0.0, 0.0]]).alpha_deg
+        array([0.])
+        """
+        values = [np.asarray(one, float) for one in (E, S)]
+        if values[0].ndim != 2 or values[0].shape[1] != 3 or values[0].shape != values[1].shape:
+            raise InputError(f"E and S are both (n, 3), components 11, 12, 22; got {[one.shape for one in values]}")
+        names, columns = [*_PARTS["E"], *_PARTS["S"]], np.hstack(values).T.tolist()
+        texts = {name: [*map(repr, column)] for name, column in zip(names, columns, strict=True)}
+        return _table_of(Columns("E, S", texts, [f"row {row}" for row in range(len(values[0]))]))
 
     def to_pandas(self) -> DataFrame:
         """The table as a pandas DataFrame with the columns of its CSV file; its `attrs` hold what its JSON says.
@@ -199,36 +256,59 @@ def write_table(table: StrainTable, path: AnyPath) -> None:
 def read_table(path: AnyPath) -> StrainTable:
     """Read a table and, where it is there, its sidecar JSON.
 
-    A converged row must have finite angles, E and S. The sidecar must belong to the CSV: it holds its SHA-256, or is of
-    an older version and holds none. A strain counts as unique where the column `unique` is missing or its cell empty.
-    Raises InputError naming file, line, column and value.
+    The columns E11, E12, E22 and either S11, S12, S22, of any unit, or alpha_deg, beta_deg are needed; a row counts as
+    converged where the column `status` is missing, and must then have finite numbers in them. A strain counts as unique
+    where the column `unique` is missing or its cell empty. The sidecar must belong to the CSV: it holds its SHA-256, or
+    is of an older version and holds none. Raises InputError naming file, line, column and value.
     """
     with read_as("strain-load table", path):
-        columns = read_columns(path, _REQUIRED, [*COLUMNS, "branch", *_PARTS["compliance"], *_PARTS["strength"]])
-    status = np.array([text.strip() for text in columns["status"]])
-    good = (status == "converged").tolist()
+        columns = read_columns(path, _PARTS["E"], _KNOWN)
+    return replace(_table_of(columns), origin=_read_origin(Path(path)))
+
+
+def _table_of(columns: Columns) -> StrainTable:
+    """The table of columns of text; InputError as of `read_table`."""
+    texts, count = columns.texts, len(columns.places)
+    given = [names for names in _LOADS if set(names) <= texts.keys()]
+    if not given:
+        missing = ", ".join(name for names in _LOADS for name in names if name not in texts)
+        ways = " or ".join(map(", ".join, _LOADS))
+        raise InputError(f"{columns.source}: tells no loads: give the columns {ways}; missing are {missing}")
+    status = np.array([text.strip() for text in texts["status"]] if "status" in texts else ["converged"] * count)
+    good = status == "converged"
+    required = {*_PARTS["E"], *(name for names in given for name in names)}
 
     def column(name: str) -> Array:
-        return number_column(path, columns, name, _MOST.get(name, np.inf), good if name in _REQUIRED else None)
+        return columns.numbers(name, _MOST.get(name, np.inf), good if name in required else None)
 
     parts: dict[str, Any] = {
         part: np.stack([column(name) for name in names], axis=1)
         for part, names in _PARTS.items()
-        if part in ("x2_mm", "x3_mm") or set(names) <= columns.keys()
+        if part in ("x2_mm", "x3_mm") or set(names) <= texts.keys()
     }
     if "compliance" in parts:
         parts["compliance"] = parts["compliance"].reshape(-1, 3, 3)
+    parts |= {name: column(name) for name in _LOADS[1]}
+    E = parts["E"][good]
+    is_sheet = eigenvalues(2.0 * E + IDENTITY)[0] > 0.0
+    if not is_sheet.all():
+        row = int(np.flatnonzero(good)[np.argmin(is_sheet)])
+        columns.refuse(row, "E11", "with E12 and E22 it squeezes the sheet to nothing; strains have no unit, and no %")
+    if "S" not in parts:
+        parts["S"] = np.full((count, 3), np.nan)
+        s = cauchy_line_load(*(parts[name][good] for name in _LOADS[1]))
+        parts["S"][good] = second_pk(deformation_gradient(E), s)
+    elif _LOADS[1] not in given:
+        for name, angle in zip(_LOADS[1], load_directions(parts["S"][good], E), strict=True):
+            parts[name][good] = angle
     unique = column("unique")
     whole = (np.nan_to_num(column(name)).astype(int) for name in ("contacts", "iterations"))
     return StrainTable(
-        alpha_deg=column("alpha_deg"),
-        beta_deg=column("beta_deg"),
         unique=np.where(np.isfinite(unique), unique, 1.0) > 0.5,
         status=status,
         quality=RowQuality(column("R"), column("min_gap_mm"), *whole),
-        branch=np.array([text.strip() for text in columns["branch"]]) if "branch" in columns else None,
+        branch=np.array([text.strip() for text in texts["branch"]]) if "branch" in texts else None,
         **parts,
-        origin=_read_origin(Path(path)),
     )
 
 
@@ -239,20 +319,29 @@ def _read_origin(table: Path) -> Origin:
     if not path.exists():
         return Origin()
     record = read_json_object(path)
-    options = _options_of_record(record)
-    of_options = record["options"] if isinstance(record.get("options"), dict) else {}
-    reference = {key: value for key, value in of_options.items() if key == "reference"}
-    where, is_told = f"{path}:", record.keys() >= REFERENCE
-    check_rings(record, where)
-    cell = read_cell_info(record | reference, where) if is_told else None
+    origin = _origin_of(record, f"{path}:")
     remedy = "make the table again, or put the two files of one table side by side; if you have edited the table on "
     if "files" in record:  # those of tables that were edited on purpose list none
         check_belongs(table, path, record, f'{remedy}purpose, remove "files" from {path.name}')
-    joint = Joint.of(record["joint"], f"{path}: joint").name if "joint" in record else None
-    typed = {"format", "format_version", "files"} | ({"compliance", "joint"} if joint else set())
+    return origin
+
+
+def _origin_of(record: Mapping[str, Any], where: str) -> Origin:
+    """What a sidecar file says, or attrs of a data frame; InputError for numbers of the rings out of their range."""
+    options = _options_of_record(record)
+    of_options = record["options"] if isinstance(record.get("options"), dict) else {}
+    reference = {key: value for key, value in of_options.items() if key == "reference"}
+    is_told = record.keys() >= REFERENCE
+    check_rings(record, where)
+    cell = read_cell_info(dict(record) | reference, where) if is_told else None
+    joint = Joint.of(record["joint"], f"{where} joint").name if "joint" in record else None
+    of_mesh: dict[str, Any] = {"areal_mass_kg_per_m2": None, "is_mirrored": True} | dict(record)
+    kinds = {"areal_mass_kg_per_m2": ArealMass | None, "is_mirrored": bool}
+    mass, is_mirrored = (read_entry(of_mesh, key, kind, where) for key, kind in kinds.items())
+    typed = {"format", "format_version", "files", *kinds} | ({"compliance", "joint"} if joint else set())
     typed |= ({"options"} if options else set()) | ({*types_of(CellInfo), "density_kg_per_mm3"} if cell else set())
     rest = {key: value for key, value in record.items() if key not in typed}
-    return Origin(cell, options, joint, rest)
+    return Origin(cell, options, joint, rest, None if is_told else mass, is_mirrored)
 
 
 def _options_of_record(record: Mapping[str, Any]) -> DirectOptions | None:

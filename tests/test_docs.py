@@ -8,6 +8,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import homogenize
@@ -115,6 +116,37 @@ def test_the_page_of_python_lists_every_public_name(package):
     page = (DOCS / "reference" / "python.md").read_text(encoding="utf-8")
     told = re.search(rf"^## {package.__name__}\n\nNames: (.*)\.$", page, re.MULTILINE)[1]
     assert told == ", ".join(f"`{name}`" for name in package.__all__)
+
+
+def test_the_page_of_materials_has_their_values():
+    page = (DOCS / "reference" / "materials.md").read_text(encoding="utf-8")
+    rows = [
+        f"| {one.name} | {1e9 * one.density_kg_per_mm3:g} | {one.young_N_per_mm2:g} | {one.poisson:g} | "
+        f"{one.yield_N_per_mm2:g} | {one.ultimate_N_per_mm2:g} |"
+        for one in rve.MATERIALS.values()
+    ]
+    assert re.findall(r"^(\| (?!name).*\|) \D[^|]*\|$", page, re.MULTILINE) == rows
+
+
+def test_the_numbers_of_ten_minutes_of_mechanics_are_those_of_the_default_law():
+    page = (DOCS / "explanation" / "mechanics.md").read_text(encoding="utf-8")
+    law, ring = homogenize.default_law(), rve.pulled_ring(5.0, 0.5)
+    across = law.rows.E[law.rows.S[:, 0].argmax()]
+    mass, strength = law.cell.areal_mass_kg_per_m2, 1.0 / law.strength.utilisation(np.array([[0.0, 0.0, 1.0]]))[0]
+    load = (mass + 20.0) * 9.81e-3
+    for told in (
+        f"{law.cell.b_x_mm:.2f} mm \N{MULTIPLICATION SIGN} {law.cell.b_y_mm:.2f} mm",
+        f"E11 = {across[0]:.3f} and E22 = \N{MINUS SIGN}{-across[2]:.3f}",
+        f"{(1.0 + 2.0 * across[0]) ** 0.5:.2f} times as wide",
+        f"{(1.0 + 2.0 * across[2]) ** 0.5:.2f} times as high",
+        f"{mass:.3f} \N{MIDDLE DOT} 9.81 = {9.81 * mass:.1f} N",
+        f"= {load:.3f}\\ ",
+        f"bears {11.0 * load:.2f} N, and a hook each 110 mm ten times that, {110.0 * load:.1f} N",
+        f"S22 = {strength:.2f} N/mm along the grain",
+        f"{strength:.2f}/{load:.3f} = {strength / load:.1f}",
+        f"yields at {ring.first_yield_N:.1f} N and begins to be drawn long at {ring.collapse_N:.1f} N",
+    ):
+        assert told in page, told
 
 
 def test_the_table_of_laws_has_every_kind():

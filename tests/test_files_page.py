@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 FREE = {"versions", "files", "options", "sentences", "cells_by_status", "meanings", "table_provenance", "units"}
 FREE |= {"factors", "drawn_gap_mm_quantiles_0_5_25_50", "several_states"}
 """Entries whose own keys are names of packages, files, options, statuses and rows."""
-FOLDERS = {"demand", "space", "body", "every", "curtains", "tables", "found", "sized"}
+FOLDERS = {"demand", "space", "body", "every", "curtains", "compared", "tables", "found", "sized"}
 COUNTS = {"rows", "branches"}
 """Entries of the sidecar whose own keys are statuses and notes."""
 PLANE = """
@@ -63,6 +63,7 @@ def out(tmp_path_factory):
         "macro_fem size barred.toml --vary mass --from 0.1 --to 0.2 --factor 1e-6 --out sized --no-picture",
         "macro_fem localize demand --out found --no-picture",
         "macro_fem sweep plane.toml --out curtains --no-picture",
+        "macro_fem compare-designs plane.toml --out compared --no-picture",
         "rve sweep --r1 5 --r2 0.5 --out tables --loads loads.csv",
     ):
         run(*(placed(one, folder) for one in command.split()))
@@ -129,7 +130,7 @@ def of_file(path, into=()):
         ),
         (["## Every ring solved: summary.json"], ["every/summary.json", "every/rings.vtu"]),
         (["## Membrane beside rings: compare.json"], ["compare.json"]),
-        (["## A sweep: sweep.csv"], ["curtains/sweep.csv", "tables/sweep.csv"]),
+        (["## A sweep: sweep.csv"], ["curtains/sweep.csv", "tables/sweep.csv", "compared/designs.csv"]),
     ],
     ids=lambda value: value[0] if len(value) == 1 else "",
 )

@@ -123,7 +123,12 @@ def nouns(table, answer, tmp_path_factory):
     of_rings = [rve.SimulationOptions(), rve.LoadHistory([0.0], [0.0], [45.0], [1.0])]
     of_rings += [rve.DirectOptions(), FiniteOptions(), RoundBody((0.0, 0.0, -50.0), 5.0, 1.0, "ball")]
     of_rings += [rve.support(cell, [0.5, 0.0, 0.5]), rve.pulled_ring(5.0, 0.5), cell_forces(E[0] + 1.0, cell)]
-    of_rings += [HalfSpace((0.0, 1.0, 0.0), -99.0), locked_arrangements(cell), nearest_poses(E, cell)]
+    of_rings += [
+        rve.Piece.cut(cell, (40, 40)),
+        HalfSpace((0.0, 1.0, 0.0), -99.0),
+        locked_arrangements(cell),
+        nearest_poses(E, cell),
+    ]
     laws = [law, law.half_spaces(), law.cut(E), law.response(E), homogenize.ClothLaw(), homogenize.diagonal_net()]
     laws += [homogenize.FitOptions(), homogenize.read_law_interval(), homogenize.locked_strain(law, [20.0], [30.0])]
     at, kinds = [0.0, 0.0, 0.0], macro_fem
@@ -150,6 +155,7 @@ def test_every_public_record_is_copied_pickled_and_replaced_as_it_is(nouns):
     by_kind = {type(noun): noun for noun in nouns}
     names = [getattr(package, name) for package in (rve, homogenize, macro_fem) for name in package.__all__]
     public = {kind for kind in names if isinstance(kind, type) and dataclasses.is_dataclass(kind)}
+    public -= {homogenize.Law, macro_fem.Load, macro_fem.Support}  # bases, of which there are no records
     assert public <= by_kind.keys()
     for kind in public:
         noun = by_kind[kind]
@@ -179,6 +185,8 @@ REFUSED = [
     (lambda: rve.Cell(r1="5 mm"), "r1 = '5 mm': expected a number, got a text; write the number alone, in mm: 5"),
     (lambda: rve.Cell(material={"density": 5.0}), "is no Material, nor the name of one"),
     (lambda: rve.Cell(weave="4in1"), "weave = '4in1': is not one of 4-in-1, 6-in-1; did you mean 4-in-1?"),
+    (lambda: rve.Piece.cut(rve.Cell(), 40), "size = 40: expected a list of 2, got a whole number"),
+    (lambda: rve.Piece.cut(rve.Cell(), (40, 40)).save("a.obj"), "give a name that ends in .3mf or .glb or .stl"),
     (lambda: rve.named_material("titanium"), "did you mean titanium grade"),
     (lambda: rve.pulled_ring(5, 0.5, "steel"), "material = 'steel': expected Material"),
     (lambda: FiniteOptions(tolerance=float("nan")), "FiniteOptions: tolerance = nan: expected a number > 0.0"),
@@ -193,13 +201,13 @@ REFUSED = [
     (lambda: rve.DirectOptions(tolerance="small"), "tolerance = 'small': expected a number, got a text"),
     (
         lambda: homogenize.fit("table.csv"),
-        "table = 'table.csv': expected StrainTable, got a text; read_table reads a file",
+        "table = 'table.csv': expected StrainTable or DataFrame, got a text; read_table reads a file",
     ),
     (lambda: rve.FiniteMesh.rectangle(None, 1, 1), "rectangle: cell = None: expected Cell"),
     (lambda: rve.FiniteMesh.inside(rve.Cell(), "square"), "outline = 'square': expected a list"),
     (lambda: PIECE.solve(PIECE.X, PIECE.X > 9, PIECE.X, options={"starts": 3}), "options = {'starts': 3}: expected"),
     (lambda: cell_of_sides(5.0, 0.5, 11.0), "sides = 11.0: expected a list of 2"),
-    (lambda: homogenize.fit([1]), "expected StrainTable, got a list"),
+    (lambda: homogenize.fit([1]), "expected StrainTable or DataFrame, got a list"),
     (lambda: homogenize.fit_table(None), "path = None: expected a text or a path"),
     (lambda: homogenize.FitOptions(kind="Net"), "did you mean net?"),
     (lambda: homogenize.load_law(5), "a file is read by its path, not from 5"),

@@ -14,13 +14,13 @@ from macro_fem import Ball
 from macro_fem.scene.obstacles import Obstacle
 from macro_fem.scene.shapes import Shape
 from macro_fem.scene.support_kinds import Support
-from macro_fem.scene.tables import LiveLoad
+from macro_fem.scene.tables import Load
 from rve.common import types_of
 from rve.common.typed import typed
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "scenes.md"
-NOUNS = [cls for base in (Shape, Support, LiveLoad, Obstacle, Ball) for cls in base.kinds.values()]
-NOUNS += [macro_fem.Mesh, macro_fem.Load, macro_fem.Solver, macro_fem.Start, macro_fem.Motion]
+NOUNS = [cls for base in (Shape, Support, Load, Obstacle, Ball) for cls in base.kinds.values()]
+NOUNS += [macro_fem.Mesh, macro_fem.Loading, macro_fem.Solver, macro_fem.Start, macro_fem.Motion]
 RANGE = re.compile(r"(above )?(-?[\d.e-]+),? to (-?[\d.e]+)$")
 HEADERS = ("key", "noun", "---")
 
@@ -59,7 +59,7 @@ def test_keys_and_defaults_are_those_of_the_class(noun):
         told |= keys_of(nouns()["every shape"])
     if issubclass(noun, Support):
         told |= keys_of(nouns()["every support"])
-    if issubclass(noun, LiveLoad | Obstacle):
+    if issubclass(noun, Load | Obstacle):
         told |= keys_of(nouns()["every load, every obstacle"])
     true = {
         item.name: (item.default is MISSING, None if item.default is MISSING else listed(item.default))

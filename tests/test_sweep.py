@@ -12,6 +12,7 @@ from functools import partial
 from multiprocessing import active_children, get_context
 from pathlib import Path
 
+import openpyxl
 import pytest
 import skfem
 from click.testing import CliRunner
@@ -21,8 +22,8 @@ from macro_fem.cli import main as macro_fem
 from macro_fem.scene.meshing.outline_files import write_outline
 from rve.cli import main as rve
 from rve.cli import table_items
-from rve.common import heard_by
-from rve.common.commands.sweeps import Ended, SweepItem, _end_with_parent, run_item, sweep
+from rve.common import Progress, heard_by
+from rve.common.commands.sweeps import Ended, SweepItem, _begin_worker, run_item, sweep
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -98,6 +99,87 @@ def test_scenes_side_by_side(tmp_path):
     assert run(macro_fem, "sweep", scenes[0], "--no-picture", "--out", tmp_path / "moved").exit_code == 0
 
 
+@pytest.fixture
+def two_laws(tmp_path):
+    """The default law, and one of rings twice as heavy that are no stronger."""
+    record, paths = json.loads(DEFAULT_LAW.read_text()), [tmp_path / "light.json", tmp_path / "heavy.json"]
+    for path in paths:
+        path.write_text(json.dumps(record))
+        record["cell"]["areal_mass_kg_per_m2"] *= 2.0
+    return paths
+
+
+def test_every_scene_with_every_law_is_a_design_in_one_table(tmp_path, two_laws):
+    """Twice the mass of rings that are no stronger is half the factor; a design that fails costs no other."""
+    for name, height in (("low", 50.0), ("bad", -1.0)):
+        (tmp_path / f"{name}.toml").write_text(SCENE.format(height=height).replace(", areal_mass = 1.0", ""))
+    scenes, out = [tmp_path / f"{name}.toml" for name in ("low", "bad")], tmp_path / "out"
+    laws = [f"--law={law}" for law in two_laws]
+    ask = ("compare-designs", *scenes, *laws, "--out", out)
+    found = run(macro_fem, *ask)
+    assert found.exit_code == 1, found.output
+    assert "2 of 4 done" in found.output
+    assert "expected a number" in found.stderr
+    with (out / "designs.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    names = [f"{scene}_{law}" for scene in ("low", "bad") for law in ("light", "heavy")]
+    assert [row["name"] for row in rows] == names
+    assert [row["status"] for row in rows] == ["converged", "converged", "", ""]
+    light, heavy = rows[:2]
+    assert (light["scene"], light["rings"]) == (heavy["scene"], heavy["rings"])
+    assert float(heavy["mass_kg"]) == pytest.approx(2.0 * float(light["mass_kg"]))
+    # rings give a little, and more under twice the load
+    assert float(heavy["governing_force_N"]) == pytest.approx(2.0 * float(light["governing_force_N"]), rel=1e-4)
+    assert float(heavy["governing_factor"]) == pytest.approx(0.5 * float(light["governing_factor"]), rel=1e-3)
+    assert "next: python -m macro_fem run" in found.stdout
+    assert str(out / "low_light") in found.stdout.splitlines()[-1]  # the lightest
+    header, *sheet = openpyxl.load_workbook(out / "designs.xlsx").active.iter_rows(values_only=True)
+    assert list(header) == list(rows[0])
+    for cell, text in zip(sheet[0], rows[0].values(), strict=True):  # numbers are numbers there
+        is_same = float(text) == pytest.approx(cell) if isinstance(cell, float) else text == str(cell or "")
+        assert is_same or (cell, text) == (0, "0"), (cell, text)
+    drawn = json.loads((out / "designs.json").read_text())["files"]
+    assert drawn.keys() == {"designs.xlsx", "designs.png", "curtains.png"}
+    (out / "low_light" / "curtain.vtu").unlink()
+    kept = {name: (out / name / "summary.json").stat().st_mtime_ns for name in names[:2]}
+    assert run(macro_fem, *ask, "--no-picture").exit_code == 1
+    assert not (out / "designs.png").exists()
+    now = {name: (out / name / "summary.json").stat().st_mtime_ns for name in names[:2]}
+    assert now["low_light"] > kept["low_light"]
+    assert run(macro_fem, *ask[:2], *laws, "--out", out, "--no-picture").exit_code == 0
+    assert now == {name: (out / name / "summary.json").stat().st_mtime_ns for name in names[:2]}
+
+
+def test_a_listener_hears_how_many_are_done_and_what_the_rest_takes(tmp_path):
+    """As measured in this run: what was finished before counts for nothing in the pace."""
+    items, told = table_items(tmp_path, {"r1": "5", "r2": "0.5,1,0.6"}, ["4-in-1"], "y", GRID), list[Progress]()
+    sweep(items[:1], tmp_path)
+    with heard_by(told.append):
+        sweep(items, tmp_path, jobs=1)
+    assert [(one.work, one.done, one.total) for one in told] == [
+        ("sweep, 1 of 3 done", 0, 0),
+        ("sweep, 2 of 3 done", 1, 2),
+        ("sweep, 3 of 3 done", 2, 2),
+    ]
+    assert told[0].left_s is None
+    assert (told[1].left_s, told[2].left_s) == (told[1].used_s, 0.0)
+    assert str(told[1]).startswith("sweep, 2 of 3 done; ")
+
+
+def test_a_sweep_takes_several_laws(tmp_path, two_laws):
+    (tmp_path / "low.toml").write_text(SCENE.format(height=50.0))
+    laws = [word for law in two_laws for word in ("--law", law)]
+    assert (
+        run(macro_fem, "sweep", *laws, tmp_path / "low.toml", "--no-picture", "--out", tmp_path / "out").exit_code == 0
+    )
+    assert [(row["name"], row["scene"], row["law"]) for row in rows_of(tmp_path / "out")] == [
+        ("low_light", "low", "light"),
+        ("low_heavy", "low", "heavy"),
+    ]
+    twice = run(macro_fem, "sweep", tmp_path / "low.toml", *laws[:2], *laws[:2], "--out", tmp_path / "out")
+    assert (twice.exit_code, "are called so" in twice.output) == (2, True)
+
+
 @pytest.mark.parametrize(("shape", "name"), [("file", "mesh.vtu"), ("dxf", "drawing.dxf")])
 def test_what_was_read_has_changed_and_is_run_again(tmp_path, shape, name):
     def draw(side):
@@ -148,7 +230,7 @@ def test_a_stopped_sweep_ends_and_keeps_what_is_finished(tmp_path, number, code,
 def test_an_idle_worker_that_is_stopped_says_nothing(capfd):
     """A command has run in it before, which listens to the same signal."""
     before = active_children()
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_end_with_parent) as pool:
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_begin_worker, initargs=([],)) as pool:
         item = SweepItem("worker", "rve", ("support", "--S", "1,0"), Path("none"))
         assert pool.submit(run_item, item).result().code == 2
         (worker,) = set(active_children()) - set(before)
@@ -162,12 +244,12 @@ def test_an_idle_worker_that_is_stopped_says_nothing(capfd):
 def test_a_cluster_that_loses_a_worker_half_way_gives_the_same_tables(tmp_path, single):
     import distributed
 
-    items = table_items(tmp_path, [5.0], [0.5, 1.0, 0.6, 0.7, 0.8, 0.9], ["4-in-1"], "y", GRID)
+    items = table_items(tmp_path, {"r1": "5", "r2": "0.5,1,0.6,0.7,0.8,0.9"}, ["4-in-1"], "y", GRID)
     killed = []
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
 
         def listen(work):
-            if not killed and "1 of 6" in work:
+            if not killed and "1 of 6" in work.work:
                 killed.append(cluster.workers[1].pid)
                 os.kill(killed[0], signal.SIGKILL)
 
@@ -180,7 +262,7 @@ def test_a_cluster_that_loses_a_worker_half_way_gives_the_same_tables(tmp_path, 
 
 
 def test_a_sweep_that_loses_its_processes_keeps_what_is_finished_and_says_what_is_not(tmp_path):
-    items = table_items(tmp_path, [5.0], [0.5, 1.0, 0.6, 0.7], ["4-in-1"], "y", GRID)
+    items = table_items(tmp_path, {"r1": "5", "r2": "0.5,1,0.6,0.7"}, ["4-in-1"], "y", GRID)
 
     def listen(work):
         for child in active_children():
@@ -202,6 +284,6 @@ def test_a_fault_beside_the_commands_fails_its_items_by_name(tmp_path, monkeypat
     """As does a record that is written to the disk of another machine."""
     monkeypatch.setattr("rve.common.commands.sweeps.ProcessPoolExecutor", lambda *_, **how: ThreadPoolExecutor(1))
     monkeypatch.setattr("rve.common.commands.sweeps.run_item", done)
-    (how,) = sweep(table_items(tmp_path, [5.0], [0.5], ["4-in-1"], "y", GRID), tmp_path, jobs=2)
+    (how,) = sweep(table_items(tmp_path, {"r1": "5", "r2": "0.5"}, ["4-in-1"], "y", GRID), tmp_path, jobs=2)
     assert (how.code, words in how.message) == (1, True)
     assert not list(tmp_path.glob(".sweep/*.json"))

@@ -31,6 +31,8 @@ COMMANDS = {
     "rve table": ("--out", "new.csv", "--alpha", "0,20", "--beta", "30,60", "--rings"),
     "rve case": ("--alpha", "20", "--beta", "45"),
     "rve support": ("--S", "0.5,-0.1,0.5"),
+    "rve ring": ("--inner", "8", "--wire", "1"),
+    "rve export": ("--inner", "8", "--wire", "1", "--size", "30x30", "--out", "part.3mf"),
     "rve sweep": ("--out", "tables", "--r1", "5", "--r2", "0.5", "--alpha", "0", "--beta", "45,60"),
     "rve simulate": ("--alpha", "20", "--beta", "45", "--set", "h_max=10", "--out", "moved.csv"),
     "macro_fem localize": ("curtain", "--out", "each", "--no-picture"),
@@ -45,18 +47,21 @@ COMMANDS = {
     "macro_fem modes": ("scene.toml", "--number", "2", "--out", "modes", "--no-picture"),
     "macro_fem size": ("scene.toml", "--vary", "mass", "--from", "0.5", "--to", "1", "--factor", "1e-3"),
     "macro_fem sweep": ("scene.toml", "--out", "curtains", "--no-picture"),
+    "macro_fem compare-designs": ("scene.toml", "--law", "law.json", "--out", "designs", "--no-picture"),
     "macro_fem rings": ("scene.toml", "--out", "rings", "--no-picture"),
     "macro_fem compare": ("scene.toml", "--out", "both.json"),
 }
 """Arguments with which every command runs for a few seconds at most, in the folder of `folder`."""
-ANSWERS = {"rve case", "rve support", *(f"macro_fem {name}" for name in ("compare", "modes", "size"))}
+ANSWERS = {"rve case", "rve support", "rve ring", *(f"macro_fem {name}" for name in ("compare", "modes", "size"))}
 ANSWERS |= {f"homogenize {name}" for name in ("strain", "support", "strength")}
 """Commands that are asked for what they print: they print it with --quiet too."""
 
 
 def each():
     """The commands, those that take longest among the slow tests."""
-    slow = {f"macro_fem {name}" for name in ("localize", "rings", "compare", "size", "modes", "sweep")}
+    slow = {
+        f"macro_fem {name}" for name in ("localize", "rings", "compare", "compare-designs", "size", "modes", "sweep")
+    }
     slow |= {"homogenize plot", "rve sweep"}
     return [pytest.param(name, marks=pytest.mark.slow if name in slow else ()) for name in COMMANDS]
 
@@ -145,7 +150,7 @@ def test_a_search_tells_a_pipe_value_factor_and_how_much_is_left(there, monkeypa
     monkeypatch.setattr(GROUPS["macro_fem"].commands["size"], "period_s", 0.0)  # else every 10 s
     words = "macro_fem", "size", *COMMANDS["macro_fem size"]
     lines = run(*words).stderr.splitlines()
-    told = r"mass = 1 kg, about \d+ answers left, [\d.]+ s each; 0\.7071 kg: factor [\d.]+"
+    told = r"mass = 1 kg, about \d+ answers left; 0\.7071 kg: factor [\d.]+; [\d.]+ s used, about [\d.]+ s left"
     assert lines[0].startswith("mass = 0.5 kg, the first of about 8 answers")
     assert any(re.match(told, line) for line in lines), lines
     assert run(*words, "--quiet").stderr == ""

@@ -23,6 +23,7 @@ from rve.solve import reference_sides
 Array = NDArray[np.float64]
 
 CASES = ((0.0, 90.0), (0.0, 45.0), (20.0, 30.0), (30.0, 60.0), (45.0, 0.0), (45.0, 90.0))
+OTHERS = (("4-in-1", 5.0), ("6-in-1", 7.0), ("6-in-1", 20.0))
 FOUND = 0.1
 """A strain farther from the reference belongs to another state: the case does not count as solved."""
 REFERENCE = DirectOptions(tolerance=1e-12, mu_end=1e-15)
@@ -198,6 +199,19 @@ def scheme_runs(given: Problem, full: bool) -> list[Row]:
     return rows + runs(given, "scheme, extrapolated to rigid", "steps", extrapolated, pairs)
 
 
+def other_cells(repeats: int = 3) -> list[Row]:
+    """Both methods on other weaves and wires, over contact stiffness and complementarity."""
+    rows: list[Row] = []
+    for weave, ratio in OTHERS:
+        given, name = problem(cell=Cell(5.0, 5.0 / ratio, weave)), f"{weave}, r1/r2 = {ratio:g}"
+        rows += runs(
+            given, f"direct, {name}", "iterations", direct, {f"mu {mu:.0e}": mu for mu in (1e-7, 1e-11)}, repeats
+        )
+        ks = {f"k {k:.0e} kg/s2": replace(PUBLISHED, stiffness=k) for k in (1e5, 1e6, 1e7)}
+        rows += runs(given, f"scheme, {name}", "steps", scheme, ks, repeats)
+    return rows
+
+
 def measure(full: bool) -> Section:
     """The section: reference, ladders of every method on six loads, the 190-case table, generic solvers."""
     given, paper = problem(), problem(zip(*paper_loads(), strict=True))
@@ -213,6 +227,7 @@ def measure(full: bool) -> Section:
         reference_table(given, damped[-1]),
         table("Six loads: direct, and the scheme of the paper", [*alone, *damped], FORMS),
         table("190 loads in one batch", [*batch, *moved], FORMS, NOT_UNIQUE),
+        table("Six loads, other cells: direct, and the scheme", other_cells(), FORMS),
         table("Six loads: solvers of nonlinear programmes", others, FORMS),
     )
     every = curves_of([*alone, *batch, *moved, *damped, *others])

@@ -11,11 +11,13 @@ from .refine import refined_half_spaces as refined_half_spaces
 from .report import error_report as error_report
 from .report import random_loads as random_loads
 from .rows import Normality as Normality
+from .rows import mended as mended
 from .rows import normality as normality
 from .rows import rows_from_table as rows_from_table
 from .table import FitOptions as FitOptions
 from .table import FitResult as FitResult
 from .table import cell_of as cell_of
 from .table import fit as fit
+from .table import fit_rows as fit_rows
 from .table import fit_table as fit_table
 from .table import stiffness_of as stiffness_of

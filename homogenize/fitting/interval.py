@@ -18,7 +18,7 @@ from homogenize.laws.geometry import highest
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.rows import LockedRows, with_mirror
-from homogenize.laws.stored import StoredLaw
+from homogenize.laws.stored import Law
 from homogenize.laws.strength import Strength, strength_of_table
 from rve import read_table
 from rve.common import Array, InputError, checked
@@ -65,7 +65,7 @@ def law_interval(
     found = replace(rows, h=np.maximum(rows.h, highest(rows.S, with_mirror(rows).E)))
     inner = replace(inner_law(found, stiffness, cell), strength=strength)
     outer = outer_law(found, stiffness, cell)
-    if isinstance(law, StoredLaw):
+    if isinstance(law, Law):
         inner, outer = (replace(one, stiffness_is_measured=law.stiffness_is_measured) for one in (inner, outer))
     return LawInterval(inner, inner if law is None else law, outer, found, float((found.h - rows.h).max()))
 
@@ -94,7 +94,7 @@ def interval_of_table(path: str | Path) -> LawInterval:
     return replace(law_interval(rows, None, stiffness, cell_of(table), strength_of_table(table)), source=str(path))
 
 
-def interval_of_law(law: StoredLaw, source: str) -> LawInterval | None:
+def interval_of_law(law: Law, source: str) -> LawInterval | None:
     """The interval of a law fitted to rows, from the file `source`; None for a law without rows or not between them."""
     if not isinstance(law, PolyhedralLaw) or law.rows is None:
         return None

@@ -1,5 +1,6 @@
 """How wrong a law can be: bounds without any reference, rows left out, the worst direction by name."""
 
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -54,9 +55,10 @@ def error_report(
 def held_out_misfit(rows: LockedRows, refit: Callable[[LockedRows], MembraneLaw]) -> Misfit | None:
     """The error at every row inside the hull, left out once, with its neighbours kept; None with too few rows."""
     S, error = [], []
+    begun = time.monotonic()
     folds = folds_of(rows.S, rows.is_mirrored)
     for number, (out, keep) in enumerate(folds):
-        tell(f"error of the law at rows left out, {number + 1} of {len(folds)}")
+        tell(f"error of the law at rows left out, {number + 1} of {len(folds)}", number, len(folds), begun)
         try:
             law = refit(rows.take(keep))
         except InputError:

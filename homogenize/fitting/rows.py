@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.optimize import nnls
 
 from homogenize.laws.rows import ROUNDING, LockedRows, with_mirror
 from rve.common import InputError
@@ -15,18 +16,23 @@ if TYPE_CHECKING:
     from rve import StrainTable
 
 NORMALITY_TOLERANCE = 1e-8
+MOST_LISTED = 10
+"""Pairs of rows in a sentence."""
+MOST_ROUNDS = 100
+"""In which pairs of rows join those that are mended; 5 to 10 are usual."""
 
 
 @dataclass(frozen=True, eq=False)
 class Normality:
     """How well rows belong to one convex set: `slack` = min over all pairs of S_i:(E_i - E_j), zero or negative.
 
-    `worst` (i, j) are the row numbers of the worst pair; `blamed` the fewest rows, found greedily, without which all
-    pairs are within `tolerance`.
+    pairs: row numbers (i, j) where it is below -tolerance, worst first, and the `distance` by which strain j lies
+    beyond the half-space of row i. `blamed`: the fewest rows, found greedily, without which no pair is.
     """
 
     slack: float
-    worst: tuple[int, int]
+    pairs: tuple[tuple[int, int], ...]
+    distances: tuple[float, ...]
     blamed: tuple[int, ...]
     tolerance: float
 
@@ -38,12 +44,22 @@ class Normality:
     def sentence(self) -> str:
         if self.holds:
             return f"normality holds: S_i:(E_i - E_j) >= {self.slack:.1e} for all pairs of rows"
-        rows = ", ".join(str(i) for i in self.blamed[:10]) + (", ..." if len(self.blamed) > 10 else "")
+        told = "; ".join(map(self.contradiction, self.blamed[:MOST_LISTED]))
+        rest = "; and more" * (len(self.blamed) > MOST_LISTED)
+        rows = ", ".join(map(str, self.blamed[:MOST_LISTED])) + ", ..." * bool(rest)
         return (
-            f"the rows do not lie on one convex set: S_i:(E_i - E_j) = {self.slack:.3e} for rows {self.worst[0]} and "
-            f"{self.worst[1]} (allowed {-self.tolerance:.0e}); without rows {rows} the others agree, and --noise "
-            f"{-1.1 * self.slack:.0e} fits a law that is off by as much there"
+            f"the rows do not lie on one convex set: {told}{rest}; without rows {rows} the others agree (the first row "
+            "is 0): --contradictions drop leaves them out, --contradictions mend moves strains as little as it can, "
+            f"--noise {-1.1 * self.slack:.0e} fits a law that is off by as much there"
         )
+
+    def contradiction(self, row: int) -> str:
+        """How a row contradicts others, in words."""
+        (i, j), far = next(one for one in zip(self.pairs, self.distances, strict=True) if row in one[0])
+        others = {other for pair in self.pairs if row in pair for other in pair} - {row}
+        most = "itself mirrored" if i == j else f"row {i + j - row}"
+        count = f" and {len(others) - 1} others" if len(others) > 1 else ""
+        return f"row {row} contradicts {most}{count}, by {far:.1e} of strain"
 
 
 def rows_from_table(table: StrainTable) -> LockedRows:
@@ -76,17 +92,54 @@ def normality(rows: LockedRows, tolerance: float = NORMALITY_TOLERANCE) -> Norma
 
     >>> E = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.1]])
     >>> S = np.array([[0.5, 0.0, 0.5], [0.5, 0.0, 0.5]])
-    >>> normality(LockedRows(S, E, double_dot(S, E), np.ones(2, bool), np.arange(2))).worst
-    (0, 1)
+    >>> normality(LockedRows(S, E, double_dot(S, E), np.ones(2, bool), np.arange(2))).pairs
+    ((0, 1),)
     """
     both = with_mirror(rows)
     gap = both.h[:, None] - (both.S * WEIGHT) @ both.E.T
-    i, j = np.unravel_index(int(np.argmin(gap)), gap.shape)
     bad = gap < -tolerance
+    beyond, size = np.where(bad, -gap, 0.0), np.sqrt(double_dot(both.S, both.S))
+    order, told = np.argsort(-beyond[bad], kind="stable"), dict[tuple[int, int], float]()
+    for i, j in np.argwhere(bad)[order].tolist():
+        told.setdefault((int(both.source[i]), int(both.source[j])), float(beyond[i, j] / size[i]))
     blamed: list[int] = []
     while bad.any():
         blamed.append(int(np.argmax(np.bincount(both.source, bad.sum(axis=0) + bad.sum(axis=1)))))
         is_out = both.source == blamed[-1]
         bad &= ~is_out[:, None] & ~is_out
-    worst = (int(both.source[i]), int(both.source[j]))
-    return Normality(min(float(gap[i, j]), 0.0), worst, tuple(sorted(blamed)), tolerance)
+    slack = min(float(gap.min()), 0.0)
+    return Normality(slack, tuple(told), tuple(told.values()), tuple(sorted(blamed)), tolerance)
+
+
+def without(rows: LockedRows, found: Normality) -> LockedRows:
+    """The rows without those that contradict others, see `Normality`."""
+    dropped = tuple(map(found.contradiction, found.blamed))
+    return replace(rows.take(~np.isin(rows.source, found.blamed)), dropped=(*rows.dropped, *dropped))
+
+
+def mended(rows: LockedRows) -> LockedRows:
+    """The rows with the nearest strains, in the sum of their squares, that contradict each other nowhere.
+
+    S_i:(E_i - E_j) >= 0 is linear in the strains, so that they are a projection onto a cone: with the rows A of the
+    pairs that count, E + A^T y for the y >= 0 that minimises |E + A^T y|. Pairs join until none is violated.
+    """
+    root, count = np.sqrt(WEIGHT), len(rows)
+    S, own = rows.S * root, rows.E * root
+    signs = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, 1.0]])[: 1 + rows.is_mirrored]
+    pairs, E = set[tuple[int, int, int]](), own
+    for _ in range(MOST_ROUNDS):
+        gap = (S * E).sum(axis=1)[:, None, None] - np.einsum("ik,mk,jk->imj", S, signs, E)
+        new = {(i, m, j) for i, m, j in np.argwhere(gap < -0.01 * NORMALITY_TOLERANCE).tolist()}
+        if new <= pairs:
+            break
+        pairs |= new
+        i, m, j = np.array(sorted(pairs)).T
+        A = np.zeros((len(i), count, 3))
+        np.add.at(A, (np.arange(len(i)), i), S[i])
+        np.add.at(A, (np.arange(len(i)), j), -S[i] * signs[m])
+        onto = A.reshape(len(i), -1).T
+        E = own + (onto @ nnls(onto, -own.ravel())[0]).reshape(-1, 3)
+    moved = np.sqrt(((E - own) ** 2).sum(axis=1))
+    told = (f"strain {row}: moved by {far:.1e}" for row, far in zip(rows.source, moved, strict=True) if far > ROUNDING)
+    E = E / root
+    return replace(rows, E=E, h=double_dot(rows.S, E), dropped=(*rows.dropped, *told))

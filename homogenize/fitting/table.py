@@ -21,17 +21,19 @@ from homogenize.directions import each_once, hull_of
 from homogenize.fitting.bounds import inner_law, outer_law
 from homogenize.fitting.refine import RESOLUTION, Resolution, refined_half_spaces
 from homogenize.fitting.report import error_report
-from homogenize.fitting.rows import NORMALITY_TOLERANCE, normality, rows_from_table
+from homogenize.fitting.rows import NORMALITY_TOLERANCE, mended, normality, rows_from_table, without
 from homogenize.laws.giving import constant_compliance, work_along
 from homogenize.laws.net import STATED_STIFFNESS, ring_net
 from homogenize.laws.polyhedral import PolyhedralLaw, giving_law, polyhedral_law
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.report import ErrorReport
 from homogenize.laws.rows import LockedRows
-from homogenize.laws.stored import StoredLaw
+from homogenize.laws.stored import Law
 from homogenize.laws.strength import strength_of_table
-from rve import StrainTable
-from rve.common import Array, InputError, Typed, checked, checksum
+from rve import Cell, StrainTable, reference_cell
+from rve.common import Array, InputError, Typed, checked, checksum, types_of
+from rve.common.cell_fields import ArealMass
+from rve.common.optional import DataFrame
 from rve.common.tensor import disc, trace
 from rve.geometry import CellInfo, read_cell_info
 
@@ -45,12 +47,20 @@ class FitOptions(Typed):
 
     `resolution`: support differences that are worth a half-space of the refined law. A finer one makes smaller facets,
     so better strains inside them, and pays where the rows are close; the default suits a table of 5 degrees.
-    InputError for values out of range.
+    `contradictions`: of rows that contradict each other, "list" refuses them with their distances, "drop" leaves out
+    the fewest that it can, "mend" takes the nearest strains that do not. What else is known of a mesh of which only
+    loads and strains are: `cell`, its rings, whose reference cell its strains refer to, `areal_mass` in kg/m2, and
+    `mirrored`, whether it is its own mirror image, so that every row stands for two. InputError for values out of
+    range.
     """
 
     kind: Literal["inner", "net", "outer", "refined"] = "refined"
     normality: Annotated[float, Meta(ge=0.0, le=1.0)] = NORMALITY_TOLERANCE
     resolution: Resolution = RESOLUTION
+    contradictions: Literal["list", "drop", "mend"] = "list"
+    cell: Cell | None = None
+    areal_mass: ArealMass | None = None
+    mirrored: bool = True
 
     def check(self) -> None:
         if self.resolution != RESOLUTION and self.kind != "refined":
@@ -61,7 +71,7 @@ class FitOptions(Typed):
 class FitResult:
     """The law and what is known of its error, which the law carries into its file."""
 
-    law: StoredLaw
+    law: Law
     report: ErrorReport
 
     @checked
@@ -90,28 +100,45 @@ def fit_table(path: str | Path, options: FitOptions | None = None) -> FitResult:
 
 
 @checked
-def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
-    """Fits a law to a table in memory; InputError if the rows contradict each other or do not bound the strain.
+def fit_rows(E: Array, S: Array, options: FitOptions | None = None) -> FitResult:
+    """Fits a law to strains E (n, 3) and second Piola-Kirchhoff line loads S (n, 3) of any unit, a row each, see `fit`.
+
+    >>> S = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0]])
+    >>> fit_rows(0.02 * S, S, FitOptions("outer")).law.support(S[2:3]).round(9)
+    array([0.04])
+    """
+    return fit(StrainTable.from_rows(E, S), options)
+
+
+@checked
+def fit(table: StrainTable | DataFrame, options: FitOptions | None = None) -> FitResult:
+    """Fits a law to a table in memory, or to a data frame with its columns; InputError if the rows contradict each
+    other or do not bound the strain.
 
     The stiffness is that of the table's compliance if it has one, else 1000 N/mm.
     """
     options = options or FitOptions()
+    table = with_known(table if isinstance(table, StrainTable) else StrainTable.from_pandas(table), options)
     rows = rows_from_table(table)
     found = normality(rows, options.normality)
-    if not found.holds:
+    if not found.holds and options.contradictions == "list":
         raise InputError(found.sentence())
+    if not found.holds:
+        rows = without(rows, found) if options.contradictions == "drop" else mended(rows)
+        found = normality(rows, options.normality)
     cell = cell_of(table)
     hull_of(rows.S, rows.is_mirrored)  # InputError for loads on one line
-    if options.kind == "net" and not rows.is_mirrored:
-        raise InputError("kind 'net': is the law of 4-in-1, whose rings hang on two families of straight chains")
+    if options.kind == "net" and (cell is None or not rows.is_mirrored):
+        raise InputError("kind 'net': is the law of 4-in-1 rings that are known, on two families of straight chains")
     stiffness, origin = stiffness_of(table)
-    build: Callable[[LockedRows], StoredLaw] = {
+    build: Callable[[LockedRows], Law] = {
         "refined": lambda some: polyhedral_law(*refined_half_spaces(some, options.resolution), stiffness, cell),
         "outer": lambda some: outer_law(some, stiffness, cell),
         "inner": lambda some: inner_law(some, stiffness, cell),
-        "net": lambda _: ring_net(cell),
+        "net": lambda _: ring_net(cell),  # type: ignore[arg-type]
     }[options.kind]
-    law = replace(build(rows), strength=strength_of_table(table), rows=rows)
+    mass = table.origin.areal_mass_kg_per_m2
+    law = replace(build(rows), strength=strength_of_table(table), rows=rows, areal_mass_kg_per_m2=mass)
     provenance = {
         "kind": options.kind,
         "rows": len(rows),
@@ -154,6 +181,22 @@ def stiffness_by_direction(law: MembraneLaw) -> str | None:
 
 
 @checked
-def cell_of(table: StrainTable) -> CellInfo:
-    """The rings of a table and their reference cell; InputError names what its sidecar does not tell of them."""
-    return read_cell_info(table.origin.notes, "the sidecar file of the table:") if table.cell is None else table.cell
+def cell_of(table: StrainTable) -> CellInfo | None:
+    """The rings of a table and their reference cell, None without; InputError names what its sidecar leaves out."""
+    if table.cell is None and types_of(CellInfo).keys() & table.origin.notes.keys():
+        return read_cell_info(table.origin.notes, "the sidecar file of the table:")
+    return table.cell
+
+
+def with_known(table: StrainTable, options: FitOptions) -> StrainTable:
+    """The table with what the options tell of its mesh; InputError for rings of a table that tells others."""
+    cell, mass, is_mirrored = table.cell, options.areal_mass, options.mirrored and table.origin.is_mirrored
+    if options.cell is not None:
+        told = reference_cell(options.cell)
+        if cell is not None:
+            cell.check_same(told, "cell", "the table")
+        cell = told
+    if cell is not None and mass is not None:
+        cell = replace(cell, areal_mass_kg_per_m2=mass)
+    mass = table.origin.areal_mass_kg_per_m2 if mass is None else mass
+    return replace(table, origin=replace(table.origin, cell=cell, areal_mass_kg_per_m2=mass, is_mirrored=is_mirrored))

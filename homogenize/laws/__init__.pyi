@@ -29,7 +29,7 @@ from .report import Misfit as Misfit
 from .rows import LockedRows as LockedRows
 from .rows import read_rows as read_rows
 from .rows import with_mirror as with_mirror
-from .stored import StoredLaw as StoredLaw
+from .stored import Law as Law
 from .stored import law_record as law_record
 from .stored import strength_of_law as strength_of_law
 from .strength import Strength as Strength

@@ -6,16 +6,14 @@ fields of thin fabrics and films obey it, and its curtains have closed forms.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from homogenize.laws.geometry import fibres
-from homogenize.laws.protocol import Cut, HalfSpaces, Response, check_finite
-from homogenize.laws.stored import StoredLaw
-from rve.common import Array, InputError
+from homogenize.laws.protocol import Cut, HalfSpaces, check_finite
+from homogenize.laws.stored import Law
+from rve.common import Array
 from rve.common.tensor import disc, eigenvalues, from_disc
 
 FIRST_FIBRES = 8
@@ -23,17 +21,13 @@ FIRST_FIBRES = 8
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ClothLaw(StoredLaw, kind="cloth"):
+class ClothLaw(Law, kind="cloth"):
     """Fabric whose lines shorten freely and never stretch.
 
     >>> cut = ClothLaw().cut(np.array([[0.1, 0.0, -0.3]]))
     >>> cut.S.tolist(), cut.h.tolist(), [round(float(x), 12) for x in cut.violation]
     ([[1.0, 0.0, 0.0]], [0.0], [0.1])
     """
-
-    @property
-    def compliance(self) -> Array:
-        return np.zeros((3, 3))
 
     def support(self, S: Array) -> Array:
         check_finite(S, "line loads")
@@ -50,15 +44,3 @@ class ClothLaw(StoredLaw, kind="cloth"):
         radius = np.hypot(away[:, 0], away[:, 1])[:, None]
         unit = np.where(radius > 0.0, away / np.where(radius > 0.0, radius, 1.0), [1.0, 0.0])
         return Cut(from_disc(unit), np.zeros(len(E)), eigenvalues(E)[1])
-
-    def response(self, E: Array) -> Response:
-        raise InputError("cloth does not stretch, so it has no elastic response: use kind = 'rigid'")
-
-    def to_dict(self) -> dict[str, Any]:
-        return {}
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any], where: str) -> ClothLaw:
-        for key in data:
-            raise InputError(f"{where} {key}: unknown key; cloth has no parameters")
-        return cls()

@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Meta
 
 from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, Response, check_finite
-from homogenize.laws.stored import StoredLaw
+from homogenize.laws.stored import Law
 from rve.common import Array, Typed, checked, read_typed
 from rve.common.cell_fields import STEEL_KG_PER_MM3, areal_mass
 from rve.common.tensor import IDENTITY, WEIGHT, disc, double_dot, dyad, from_disc, trace
@@ -48,7 +48,7 @@ class NetEntries(Typed):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class NetLaw(StoredLaw, kind="net"):
+class NetLaw(Law, kind="net"):
     """Two families of fibres along `directions` (2, 2), one unit vector per row, taut at stretch `limit`.
 
     `stiffness` (N/mm) is the line load per unit of Green strain beyond locking, for each family alone.
@@ -152,7 +152,7 @@ class ElasticNet(NetLaw):
         worst = excess.argmax(axis=1)
         return Cut(fibres.S[worst], fibres.h[worst], excess.max(axis=1))
 
-    elastic = StoredLaw.elastic
+    elastic = Law.elastic
 
 
 @checked

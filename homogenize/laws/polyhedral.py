@@ -19,7 +19,7 @@ from homogenize.laws.geometry import Polyhedron, fibres, highest, outer_vertices
 from homogenize.laws.giving import split_compliance, work_along
 from homogenize.laws.net import LEAST_STIFFNESS, MOST_STIFFNESS, STATED_STIFFNESS
 from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, Response, check_finite
-from homogenize.laws.stored import StoredLaw
+from homogenize.laws.stored import Law
 from rve.common import Array, InputError, Typed, read_typed
 from rve.common.tensor import WEIGHT, disc, eigenvalues, trace
 from rve.geometry import CellInfo
@@ -48,7 +48,7 @@ class PolyhedronEntries(Typed):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PolyhedralLaw(StoredLaw, kind="polyhedral"):
+class PolyhedralLaw(Law, kind="polyhedral"):
     """Half-spaces S (m, 3) of unit trace, h (m,); `vertices` (k, 3) of the strains they leave; stiffness (3, 3)."""
 
     S: Array
@@ -131,7 +131,7 @@ class GivingLaw(PolyhedralLaw):
     def _body(self) -> Polyhedron:
         return polyhedron_of(self.S, self.h, self.stiffness, self.extra)
 
-    elastic = StoredLaw.elastic
+    elastic = Law.elastic
 
     def compliance_along(self, S: Array, size: float) -> Array:
         """Twice the complementary energy beyond size h(S), over size^2, mm/N, (n,): S:D S of this law at line loads

@@ -72,7 +72,8 @@ def strength_answer(path: str | Path, S: Array, yield_N_per_mm2: float | None = 
     law = load_law(path)
     strength = law.strength
     if strength is None:
-        raise InputError(f"{path}: holds no strength; {MAKE_AGAIN}")
+        again = "only a law of rings has one" if law.cell is None else MAKE_AGAIN
+        raise InputError(f"{path}: holds no strength; {again}")
     unit = S[None] / check_tensile(S)
     try:
         stress = strength.yield_stress(yield_N_per_mm2)

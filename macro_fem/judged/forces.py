@@ -78,7 +78,7 @@ def support_forces(solution: CurtainState) -> tuple[SupportForce, ...]:
     `nodes_held`, `length_held_mm` and `largest_nodal_force_N` are also of what an earlier support holds.
     """
     problem, forces, scene = solution.problem, [], solution.problem.scene
-    each = [Held.nothing(item.one, number, scene.d) for number, item in enumerate(scene.support)]
+    each = [Held.nothing(item.kind, number, scene.d) for number, item in enumerate(scene.support)]
     for one in problem.supports.held:
         each[one.number] = one
     shares = own_forces([held.components(solution.x.shape) for held in each], solution.reactions)

@@ -124,6 +124,8 @@ def _too_coarse(solution: CurtainState, near: Nearby, known: Strength, mean: Ext
 def judged_by(law: HungLaw) -> tuple[Strength, CellInfo] | str:
     """The strength and the cell by which a curtain of a law is judged; where its utilisation is not known, why."""
     known = strength_of_law(law.own)
+    if known is None and law.cell is None:
+        return "the law has no rings that bear the loads"
     if known is None:
         return (
             "the law was made without it: make its table with rve table --rings, in Python with rve.with_rings, and "

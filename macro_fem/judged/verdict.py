@@ -2,7 +2,6 @@
 that governs it."""
 
 from collections.abc import Sequence
-from dataclasses import fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -117,7 +116,8 @@ def combination_rows(answers: Sequence[tuple[Combination, CurtainNumbers]]) -> t
     return tuple(
         CombinationRow(
             name=combination.name,
-            factors={item.name: vars(combination)[item.name] for item in fields(combination)[1:]},
+            factors={key: value for key, value in vars(combination).items() if key not in ("name", "own")}
+            | dict(combination.own),
             largest_force_N=largest_force(summary.support_forces),
             status=summary.status,
             message=summary.message,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from homogenize import MembraneLaw, with_material
+from homogenize import MembraneLaw
 from macro_fem.curtain import (
     NOT_UNIQUE,
     CurtainProblem,
@@ -31,6 +31,7 @@ from macro_fem.output.files import curtain_mesh
 from macro_fem.output.images import Draw
 from macro_fem.output.space_view import views
 from macro_fem.scene.checks import check_sizes
+from macro_fem.scene.loads import meet
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.obstacles import PlacedObstacle, Sphere
@@ -91,8 +92,8 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
     its discretisation with the nodes of balls."""
 
     def __init__(self, scene: Scene, law: MembraneLaw) -> None:
+        scene, self.law = meet(scene, law)
         super().__init__(scene)
-        self.law = with_material(law, dict(scene.material), f"{scene.source}: [material]")
         check_sizes(scene, None if self.law.cell is None else self.law.cell.r1_mm)
         self.mesh = build_mesh(scene_at(scene, 0.0), self.law.cell)
         self.what, self.size = f"{self.mesh.mesh.t.shape[1]} cells", self.mesh.size

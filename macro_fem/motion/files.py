@@ -47,19 +47,22 @@ def run_motion(
     """Solve the scene of [motion] in a file, write its files into `out` and return the summary.
 
     goes_on: from the last step of the run whose files are in `out`, of the same scene but for its duration, and the
-    same law. how: `picture`, `animation` and `html`, and for a scene that is solved ring by ring space and start of
-    `EveryRing`. InputError in one sentence, and nothing written, for what cannot be read or begin; NotDrawn, after
-    everything else is in place, for pictures that fail.
+    same law. how: `picture`, `animation`, `html` and the path of a `report`, and for a scene solved ring by ring space
+    and start of `EveryRing`. InputError in one sentence, and nothing written, for what cannot be read or begin;
+    NotDrawn, after everything else is in place, for pictures that fail.
     """
     scene, law, inputs = read_job(scene_path, law_path, out)
     each_ring = {name: how.pop(name) for name in ("space", "start") if name in how}
     wanted = Pictures(**how, stem="motion")
-    wanted.check(scene, in_space=True)
+    wanted.check(scene, inputs, in_space=True)
     mover = mover_of(scene, EveryRing(law, **each_ring) if each_ring else law)
     log = Log(out, mover, _checksum(scene, law, each_ring.get("space")), inputs)
     answer = MotionSolution(mover, log.series, mover.solve(log.resume() if goes_on else None, log.add))
     summary = log.finish(answer)
-    draw_all(out, RECORD, summary, answer.drawings(wanted), inputs)
+    drawings = answer.drawings(wanted)
+    if wanted.report is not None:
+        drawings[str(wanted.report.absolute())] = lambda path: answer.write_report(path, inputs)
+    draw_all(out, RECORD, summary, drawings, inputs)
     return summary
 
 

@@ -15,8 +15,8 @@ from macro_fem.motion_summary import MotionNumbers, MotionSummary
 from macro_fem.output.images import Draw
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.tables import LiveLoad, Timed
-from rve.common import Array, part_of, time_left
+from macro_fem.scene.tables import Load, Timed
+from rve.common import Array, part_of
 
 Kept = dict[str, Any]
 """Numbers and arrays by name, as a file of numpy has them."""
@@ -222,14 +222,13 @@ class Mover(ABC, Generic[F, A]):
         kinks = {t for item in timed for t, _ in item.history}
         yield frame
         while (t := frame.moment.t) < end - near:
-            share = (t - first) / (end - first)
             of = f" of about {count + max(1, round((end - t) / frame.h))}" if frame.h > 0.0 else ""
             done = f"step {count + 1}{of}, {t:.4g} of {end:.4g} s"
             count += 1
             if any(abs(t - release) <= near for release in releases):
                 frame = replace(frame, is_euler=True)
             stops = [one for one in releases if one > t + near] + [max(k, t + least) for k in kinks if k > t + near]
-            with part_of(f"{self.what} in motion, {done}; {time_left(begun, share)}"):
+            with part_of(f"{self.what} in motion, {done}", t - first, end - first, begun):
                 frame = self._accurate(frame, min([end, *stops]) - t)
             yield frame
 
@@ -292,7 +291,7 @@ class Mover(ABC, Generic[F, A]):
         since, until = before.t - self.near, end.moment.t - self.near
         over = [item for item in self.scene.of(Timed) if any(since <= t < until for t, _ in item.history)]
         is_lost = locking > PACE.least_impact * most and lost > PACE.impact * locking
-        is_jump = scheme > PACE.least_impact * max(most, kinetic) and not all(isinstance(one, LiveLoad) for one in over)
+        is_jump = scheme > PACE.least_impact * max(most, kinetic) and not all(isinstance(one, Load) for one in over)
         is_thrown = end.late - lost > PACE.gain * most and bool(over)
         is_back = end.rebound > PACE.least_impact * most or min(end.gain, -lost) > PACE.gain * most
         return is_lost or is_jump or is_thrown or is_back

@@ -2,6 +2,7 @@
 
 import shutil
 import subprocess
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,13 +23,13 @@ from macro_fem.output.pictures import Drawings, Pictures
 from macro_fem.output.told import motion_verdict
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.scene.scene import Scene
-from rve.common import InputError, check_out_file, digits, write_text
+from rve.common import InputError, check_out_file, checked, digits, write_text
 from rve.common.drawing.plane import new_axes
 from rve.common.optional import Axes
 from rve.finite import FiniteSolution
 
-PANELS, IMAGES = 4, 48
-"""Moments at most in motion.png, and in motion.gif and motion.html."""
+PANELS, IMAGES, REPORTED = 4, 48, 3
+"""Moments at most in motion.png, in motion.gif and motion.html, and in a report."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -64,7 +65,7 @@ class MotionSolution(Solution):
 
         def draw_panels(path: Path) -> None:
             at, draws = zip(*self.moments(PANELS), strict=True)
-            save_panels(path, draws, f"at {'; '.join(at)}\n{motion_verdict(self.summary)}")
+            save_panels(path, draws, motion_verdict(self.summary), at)
 
         def animate(path: Path) -> None:
             nonlocal film
@@ -112,6 +113,15 @@ class MotionSolution(Solution):
         check_out_file(path, "path")
         check_page(str(path))
         write_moments(path, in_turn(self.moments(IMAGES)), self.title)
+
+    @checked
+    def write_report(self, path: str | Path, inputs: Sequence[Path | None] = ()) -> None:
+        """Write a report as PDF: verdict, force over time, moments, forces at the weakest one, limits, checksums of
+        `inputs`; InputError without typst (extra `report`) or pyvista."""
+        Pictures(picture=False, report=Path(path)).check(inputs=inputs, in_space=True)
+        from macro_fem.motion_report import write_motion_report
+
+        write_motion_report(path, self.mover.scene, self.summary, self.plot, self.moments(REPORTED), inputs)
 
     def rings(self) -> FiniteSolution:
         """Every ring at the end, of a scene solved ring by ring; InputError of one by a law."""

@@ -20,7 +20,7 @@ from macro_fem.judged import (
     utilisation,
 )
 from macro_fem.scene.loads import PER_MM2, areal_mass
-from macro_fem.scene.tables import Bar, LiveLoad
+from macro_fem.scene.tables import Bar, Load
 from macro_fem.summary import (
     Bounds,
     BoundsOfPotential,
@@ -154,7 +154,7 @@ def is_mean_height(problem: CurtainProblem) -> bool:
     """Whether the potential tells the mean height: the curtain's own weight is the only load."""
     x, y, z = problem.scene.load.acceleration
     is_down = x == z == 0.0 and y < 0.0
-    return is_down and not problem.scene.of(LiveLoad) and bool(np.abs(problem.force).sum() > 0.0)
+    return is_down and not problem.scene.of(Load) and bool(np.abs(problem.force).sum() > 0.0)
 
 
 def bounds_summary(bounds: CurtainBounds) -> BoundsOfPotential:

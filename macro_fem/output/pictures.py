@@ -29,7 +29,7 @@ from rve.common import (
     tell,
 )
 from rve.common.drawing import space
-from rve.common.drawing.plane import Scale, new_axes, new_figure, round_top, save_figure
+from rve.common.drawing.plane import VERMILION, Scale, new_axes, new_figure, round_top, save_figure
 from rve.common.files import UNREADABLE
 from rve.common.optional import Axes, Figure
 
@@ -66,12 +66,16 @@ class Pictures:
             check_page(f"{self.stem}.html", "leave out --html")
         if self.animation and scene is not None and scene.load.steps < 2 and scene.motion is None:
             scene.refuse(f"[load] steps = 1: there is nothing to animate; set steps = 10 or {NO_GIF}")
-        report, dxf = ("report", ".pdf", "matplotlib", "plots"), ("dxf", ".dxf", "ezdxf", "cad")
+        report, dxf = ("report", ".pdf", "typst", "report"), ("dxf", ".dxf", "ezdxf", "cad")
         for name, ending, package, extra in (report, dxf):
             path: Path | None = getattr(self, name)
             if path is not None:
                 require(package, extra, f"--{name}", "leave it out")
                 check_out_file(path, f"--{name}", inputs, (ending,))
+        if self.report is not None:
+            require("matplotlib", "plots", "--report", "leave it out")
+            if in_space or (scene is not None and scene.in_space):
+                space.check_render("--report", "leave it out")
 
 
 FAILURES = (*UNREADABLE, RuntimeError, ArithmeticError, AssertionError, ImportError, MemoryError)
@@ -110,7 +114,7 @@ def curtain_drawings(steps: Sequence[CurtainSolution], wanted: Pictures) -> Draw
 
     def draw_in_space(path: Path) -> None:
         both = [partial(space_view.draw_curtain, last, direction=way) for way in (space.FRONT, space.THREE_QUARTERS)]
-        save_panels(path, both, space_view.title(last))
+        save_panels(path, both, space_view.title(last), ("from the front", "from the right, above"))
 
     def animate(path: Path) -> None:
         titles = [space_view.title(step).replace(" N, ", " N\n") for step in steps]
@@ -144,9 +148,9 @@ def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
     loads = np.minimum(np.linalg.norm(P, 2, axis=(1, 2)), values.max())  # some corner has no less than any cell
     ax = _plot_field(solution, loads, scale, ax, shading="gouraud")
     _directions(solution, (values, direction), scale, ax)
-    _loads(solution, ax)
+    draw_loads(solution, ax)
     _legend(ax)
-    ax.set_title(space_view.title(solution).replace(", ", ",\n", 1), fontsize=11)
+    ax.set_title(space_view.title(solution).replace(", ", ",\n", 1), fontsize=9)
     return ax
 
 
@@ -178,18 +182,27 @@ def plot_flow(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
 
 
 def panels(solution: CurtainSolution) -> Figure:
-    """Line loads with directions, and the states: slack, drawn in one direction (it would wrinkle), taut in both."""
+    """Line loads with directions, and the states: slack, drawn in one direction (it would wrinkle), taut in both; cells
+    that lie with their back to the front, by a fold."""
+    from matplotlib.collections import PolyCollection
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
     extent = np.ptp(np.vstack([solution.x[:, :2], solution.problem.disc.nodes]), axis=0)
-    figure = new_figure(10.4, float(np.clip(4.2 * extent[1] / extent[0], 2.6, 8.0)) + 1.4)
+    figure = new_figure(6.4, float(np.clip(2.5 * extent[1] / extent[0], 2.0, 6.4)) + 1.3)
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     plot_line_loads(solution, axes[0])
     state = solution.state()
     _colour(solution, state, axes[1], cmap=ListedColormap(list(STATES.values())), vmin=0.0, vmax=2.0)
     shown = (one for number, one in enumerate(STATES.items()) if (state == number).any())
-    _legend(axes[1], [Patch(color=colour, label=name) for name, colour in shown])
+    patches = [Patch(color=colour, label=name) for name, colour in shown]
+    F = solution.problem.disc.cell_mean(solution.F)[:, :2]
+    if (is_over := np.linalg.det(F) < 0.0).any():
+        over: Any = {"facecolor": "none", "edgecolor": VERMILION, "hatch": "//////", "lw": 0.3}
+        cells = solution.corners[:, :2][solution.problem.mesh.mesh.t.T[is_over]]
+        axes[1].add_collection(PolyCollection(list(cells), **over))
+        patches.append(Patch(**over, label="cell folded over"))
+    _legend(axes[1], patches)
     return figure
 
 
@@ -224,6 +237,7 @@ def _colour(solution: CurtainSolution, values: Array, ax: Any, **style: Any) -> 
             ax.scatter(x, y, marker=marker, s=size, color=face, edgecolors=HELD, zorder=5, label=label)
     ax.autoscale_view()
     ax.set(aspect="equal", xlabel="x, mm", ylabel="y, mm")
+    ax.tick_params(labelsize=8)
     ax.spines[["top", "right"]].set_visible(False)
 
 
@@ -260,14 +274,15 @@ def one_per_square(points: Array, chosen: np.ndarray, number: int) -> np.ndarray
     return np.sort(chosen[order[np.unique(np.floor(place[order]), axis=0, return_index=True)[1]]])
 
 
-def _loads(solution: CurtainSolution, ax: Axes) -> None:
-    """Loads at points and wind as arrows, the longest of each a part of the size of the mesh."""
+def draw_loads(solution: CurtainSolution, ax: Axes, axes: tuple[int, int] = (0, 1)) -> None:
+    """Loads at points and wind as arrows in two coordinates, the longest of each a part of the size of the mesh."""
     size = space_view.LONGEST * solution.problem.mesh.size
     for name, colour, forces, way in FORCES[2:]:
-        at, force = (part[:, :2] for part in forces(solution))
+        at, force = (part[:, axes] for part in forces(solution))
         if longest := float(np.linalg.norm(force, axis=1).max(initial=0.0)):
             ax.update_datalim(at + way * size * force / longest)
-            ends: Any = {"angles": "xy", "scale_units": "xy", "scale": longest / size, "width": 0.009}
+            ends: Any = {"angles": "xy", "scale_units": "xy", "scale": longest / size}
+            ends |= {"units": "inches", "width": 0.04}
             ends |= {"pivot": "tail" if way > 0 else "tip", "label": f"{name}, up to {digits(longest)} N"}
             ax.quiver(*at.T, *force.T, color=colour, ec="white", lw=0.5, zorder=6, **ends)
             ax.autoscale_view()
@@ -276,4 +291,4 @@ def _loads(solution: CurtainSolution, ax: Axes) -> None:
 def _legend(ax: Axes, more: Sequence[Any] = ()) -> None:
     """What lines and markers mean, and the handles `more`, below the axes."""
     handles = [*more, *ax.get_legend_handles_labels()[0]]
-    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, frameon=False, fontsize=9)
+    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=1, frameon=False, fontsize=8)

@@ -22,13 +22,16 @@ from rve.common.optional import Plotter, PolyData
 
 HELD, TRACK = "#1f4e79", "#4a4f57"
 GROUND, SHADOW = "#ebedf0", "#cdd2d8"
-LEAST_FOR_PERSON = 1000.0
-"""Scenes of this size in mm and larger are shown beside a person, smaller ones beside a bar of a round length."""
+LEAST_FOR_PERSON = 2000.0
+"""Scenes of this size in mm and larger are shown beside a person, smaller ones beside a ruler alone."""
 PERSON_MM = 1750.0
-LIGHT = np.array([0.3, -1.0, -0.45])
+SHARP = 35.0
+"""Cells that meet at more degrees are drawn with the fold between them, others as one smooth surface."""
+LIGHT = np.array([0.12, -1.0, -0.25])
 """Direction of the light that throws the shadow: from the left, above and the front."""
 LONGEST, LEAST_ARROW = 0.16, 0.04
-"""Length of the largest force's arrow over the size of the scene; forces below this part of it have no arrow."""
+"""Length of the arrow of the largest force of its kind over the size of the scene; forces below this part of it have no
+arrow."""
 SHRUNK, REACH = 0.003, 0.25
 """Obstacles are drawn smaller by this part of the size of the curtain, to see it on them, and cut off this far away."""
 
@@ -47,14 +50,14 @@ def box_of(points: Array) -> Array:
 @dataclass(frozen=True, eq=False)
 class PictureFrame:
     """What pictures of a series share: colours; boxes (2, 3) of the curtain, and with arrows and obstacles, mm; size of
-    the former, mm; length of arrows, mm/N; largest forces of supports, obstacles and loads, N; y of the ground where no
+    the former, mm; of each of `FORCES` the length of arrows, mm/N, and the largest one, N; y of the ground where no
     floor is, mm."""
 
     scale: Scale
     room: Array
     around: Array
     size: float
-    arrow: float
+    arrow: tuple[float, ...]
     largest: tuple[float, ...]
     lowest: float
 
@@ -64,12 +67,15 @@ class PictureFrame:
         each = [[forces(step) for step in steps] for _, _, forces, _ in FORCES]  # places and forces (n, 3)
         sizes = ([np.linalg.norm(force, axis=1).max(initial=0.0) for _, force in kind] for kind in each)
         largest = tuple(float(max(kind)) for kind in sizes)
-        both = ((at, way * force) for (*_, way), kind in zip(FORCES, each, strict=True) for at, force in kind)
-        at, force = (np.concatenate(parts) for parts in zip(*both, strict=True))
         room = box_of(np.concatenate([padded(step.corners) for step in steps]))
         size = float(np.linalg.norm(room[1] - room[0]))
-        arrow = LONGEST * size / max(*largest, 1e-300)
-        around = box_of(np.concatenate([room, at + arrow * force]))
+        arrow = tuple(LONGEST * size / max(most, 1e-300) for most in largest)
+        ends = [
+            at + way * length * force
+            for (*_, way), length, kind in zip(FORCES, arrow, each, strict=True)
+            for at, force in kind
+        ]
+        around = box_of(np.concatenate([room, *ends]))
         lowest = float(min(around[0, 1], room[0, 1] - 0.06 * size))
         frame = cls(line_load_scale(steps), room, around, size, arrow, largest, lowest)
         bodies = [obstacle_mesh(one, frame, lowest) for step in steps for one in step.obstacles]
@@ -90,7 +96,7 @@ def draw_curtain(
     placed, curtain = solution.obstacles, sheet(solution, frame.scale)
     floors = [one.obstacle.height + one.shift[1] for one in placed if isinstance(one.obstacle, Floor)]
     ground = float(max(floors, default=frame.lowest))
-    space.add(plotter, "curtain", curtain, frame.scale)
+    space.add(plotter, "curtain", curtain, frame.scale, split_sharp_edges=True, feature_angle=SHARP)
     add_supports(plotter, solution, frame.size)
     for one in placed:
         mesh, item = obstacle_mesh(one, frame, ground), one.obstacle
@@ -98,11 +104,11 @@ def draw_curtain(
             opacity = 0.35 if isinstance(item, Wall) else space.BODY_OPACITY
             is_round = isinstance(item, Sphere | Cylinder)
             space.add(plotter, item.name, mesh, space.BODY, opacity=opacity, smooth_shading=is_round)
-    for (name, colour, forces, way), largest in zip(FORCES, frame.largest, strict=True):
+    for (name, colour, forces, way), largest, length in zip(FORCES, frame.largest, frame.arrow, strict=True):
         at, force = forces(solution)
-        begin = at - (way < 0) * frame.arrow * force
-        shown = space.arrows(begin, frame.arrow * force, LEAST_ARROW * LONGEST * frame.size)
-        space.add(plotter, f"{name}, longest {digits(largest)} N", shown, colour)
+        begin = at - (way < 0) * length * force
+        shown = space.arrows(begin, length * force, LEAST_ARROW * LONGEST * frame.size)
+        space.add(plotter, f"{name}, longest {digits(largest)} N", shown, colour, in_front=True)
     down = np.abs(solution.problem.scene.load.acceleration)
     if down[1] == down.max():  # a sheet whose weight acts along z lies level: nobody stands beside it
         _add_surroundings(plotter, curtain, frame, ground)
@@ -183,7 +189,7 @@ def add_supports(plotter: Plotter, solution: CurtainState, size: float) -> None:
 
 
 def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: PictureFrame, ground: float) -> None:
-    """Ground, the curtain's shadow on it, and a person for the scale, or a bar before a small curtain."""
+    """Ground, the curtain's shadow on it, and for the scale a ruler before it and a person beside a large one."""
     import pyvista
 
     shadow = curtain.copy()
@@ -194,16 +200,15 @@ def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: PictureFrame, 
     is_large = float((box[1] - box[0]).max()) >= LEAST_FOR_PERSON
     if is_large:
         up = PERSON_MM * np.array([0.0, 1.0, 0.0])
-        feet, radius, length = foot - [0.4 * PERSON_MM, 0.0, 0.0], 0.08 * PERSON_MM, 0.68 * PERSON_MM
+        feet, radius, length = foot - [0.3 * PERSON_MM, 0.0, 0.0], 0.08 * PERSON_MM, 0.68 * PERSON_MM
         body = pyvista.Capsule(center=feet + 0.42 * up, direction=up, radius=radius, cylinder_length=length)
         head = pyvista.Sphere(radius=0.065 * PERSON_MM, center=feet + 0.93 * up)
         space.add(plotter, "person, 1.75 m", body + head, space.MEASURE)
-    else:
-        space.add_length(plotter, foot + np.array([0.0, 0.006 * size, 0.0]), size)
+    space.add_length(plotter, foot[None] + [0.0, 0.006 * size, 0.0], size)
     space.add(plotter, "_shadow", shadow, SHADOW, **space.FLAT)
     thrown = box + max(box[1, 1] - ground, 0.0) * LIGHT  # the patch is as large in all pictures of a series
-    beside = foot - [[0.5 * PERSON_MM if is_large else 0.0, 0.0, 0.0]]
+    beside = foot - [[0.4 * PERSON_MM if is_large else 0.0, 0.0, 0.0]]
     (x0, _, z0), (x1, _, z1) = box_of(np.concatenate([frame.around, thrown, beside]))
-    middle, room = (0.5 * (x0 + x1), ground - 1e-3 * size, 0.5 * (z0 + z1)), 0.12 * size
+    middle, room = (0.5 * (x0 + x1), ground - 1e-3 * size, 0.5 * (z0 + z1)), 0.05 * size
     floor = pyvista.Plane(center=middle, direction=(0.0, 1.0, 0.0), i_size=z1 - z0 + room, j_size=x1 - x0 + room)
     space.add(plotter, "_ground", floor, GROUND, **space.FLAT)

@@ -201,13 +201,18 @@ def hooks_lines(summary: CurtainNumbers) -> list[str]:
 def order_lines(order: Order) -> list[str]:
     """The order sheet in lines."""
     mesh = f"mesh of {order.mesh_width_mm:g} x {order.mesh_height_mm:g} mm"
-    lines, rings = [f"order: {mesh}, width by height, pulled along its grain"], ""
-    if order.r1_mm is not None and order.r2_mm is not None:
-        across, wire, metal = 2.0 * order.r1_mm, 2.0 * order.r2_mm, order.material or "material not known"
-        lines += [f"  {order.weave}, rings of {metal}, {across:g} mm across to the middle of a wire of {wire:g} mm"]
+    holes = f", less {order.holes} hole{'s' * (order.holes > 1)}" if order.holes else ""
+    lines, rings = [f"order: {mesh}, {digits(order.area_m2, 4)} m2{holes}, pulled along its grain"], ""
+    if order.wire_mm is not None:
+        across, metal = f"{order.outer_diameter_mm:g} mm across, {order.inner_diameter_mm:g} mm inside", order.material
+        lines += [f"  {order.weave}, rings of {metal or 'material not known'}, {across}, wire {order.wire_mm:g} mm"]
         rings = f"{order.rings} rings in {order.cells} cells of the weave, "
     pitch = "" if order.hook_pitch_mm is None else f", {order.hook_pitch_mm:g} mm apart along the mesh"
     lines += [f"  {rings}{digits(order.mass_kg, 4)} kg; {order.hooks or 'no'} single points to hang by{pitch}"]
+    if order.bars:
+        lines += [f"  bar{'s' * (order.bars > 1)} of {order.bars_kg:g} kg, {digits(order.bars_mm, 5)} mm long"]
+    if order.track_mm is not None:
+        lines += [f"  track of {digits(order.track_mm, 5)} mm"]
     return [*lines, f"  held over {order.held_width_mm:.1f} mm, lowest point at {order.lowest_point_mm:.1f} mm"]
 
 

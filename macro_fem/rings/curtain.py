@@ -32,7 +32,7 @@ class Told(Typed):
     and reference cell of its rings, None for a law without rings, their material if it is known, and its supports."""
 
     hang_deg: Annotated[float, Meta(ge=-360.0, le=360.0)]
-    rings: dict[str, Any] | None
+    rings: dict[str, Any] | None = None
     material: Material | None = None
     weave: str | None = None
     grain: Literal["y", "x"] = "y"
@@ -72,7 +72,7 @@ class Told(Typed):
 
 def read_told(summary: Mapping[str, Any], source: str) -> Told:
     """What a summary tells of its curtain; InputError, which begins with `source`, for what does not fit."""
-    return read_typed(Told, {key: summary[key] for key in types_of(Told) if key in summary}, f"{source}:")
+    return read_typed(Told, {key: summary[key] for key in types_of(Told) if summary.get(key) is not None}, f"{source}:")
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,20 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from macro_fem.fem.cells import padded
-from macro_fem.output.images import save_picture
+from macro_fem.output.images import save_picture, save_view
 from macro_fem.output.page import write_page
 from macro_fem.output.pictures import Drawings, Pictures, draw_all
 from macro_fem.rings.curtain import Curtain, Sites
 from rve import Cell
-from rve.common import Array, Index, checked, csv_text, digits, job, versions, write_text
-from rve.common.drawing.space import THREE_QUARTERS, add, add_length, below, lines, look, new_plotter
+from rve.common import Array, Index, InputError, checked, csv_text, digits, job, versions, write_text
+from rve.common.drawing.space import THREE_QUARTERS, add, add_length, lines, look, new_plotter, sheet_axes
 from rve.common.optional import Axes, Plotter
-from rve.placed import NEAR, POSE_MEANINGS, CellForces, DrawnRings, Fit, NearestPoses
+from rve.placed import NEAR, POSE_MEANINGS, CellForces, DrawnRings, Fit, NearestPoses, write_solids
 
 RECORD = "localize.json"
 """The file that stands for the job; it lists the others by their checksums."""
-CLOSE, BLACK = 8.0, "#111111"
-"""Radius of the close-up, in r1, and the colour of the circle around it."""
+CLOSE, BLACK, FLAT_PART = 8.0, "#111111", 0.3
+"""Radius of the close-up, in r1, the colour of the circle around it, and how thick a flat piece of mesh may be over its
+smaller side."""
+MOST_RENDERED = 5000
+"""Rings at most that `render` draws, each a fine surface."""
 
 
 @dataclass(frozen=True)
@@ -159,26 +162,32 @@ class RingField:
         picture: bool = True,
         tubes: bool = False,
         html: bool = False,
-        stl: bool = False,
+        solids: str = "",
+        render: bool = False,
         inputs: Iterable[str | Path | None] = (),
     ) -> dict[str, Any]:
         """Write rings.vtu, worst_cell.csv, localize.json and rings.png into `folder`; the summary.
 
-        `tubes`: write tori instead of centre lines; `stl`: rings.stl, the surfaces of the rings, for CAD and printing;
-        `html`: rings.html, which turns in a browser; rings.png: all rings beside those around the cell with the largest
-        line load. All but pictures appear together, and what they replace is gone (`rve.common.files`). InputError
-        where they cannot be written or would overwrite one of `inputs`, or if what a picture needs is missing;
-        NotDrawn, when all else is in place, for pictures that fail.
+        `tubes`: write tori instead of centre lines; `solids`: "3mf", "glb" or "stl", writes rings.3mf and so on, for
+        printers, CAD and browsers; `html`: rings.html, which turns in a browser; `render`: render.png, the rings as
+        metal with their shadow; rings.png: all rings beside those around the cell with the largest line load. All but
+        pictures appear together, and what they replace is gone (`rve.common.files`). InputError where they cannot be
+        written or would overwrite one of `inputs`, or if what a picture needs is missing, or for too many rings to
+        `render`; NotDrawn, when all else is in place, for pictures that fail.
         """
-        Pictures(picture, html=html, stem="rings").check(in_space=True)
+        Pictures(picture or render, html=html, stem="rings").check(in_space=True)
+        if render and len(self) > MOST_RENDERED:
+            raise InputError(f"--render: draws {MOST_RENDERED} rings at most, and here are {len(self)}: give --window")
         inputs = list(inputs)
         with job(folder, RECORD, self.summary, inputs) as staged:
             self.drawn.write_vtu(staged / "rings.vtu", self.data, tubes=tubes)
             write_text(staged / "worst_cell.csv", self.worst.table())
-            if stl:
-                self.drawn.write_stl(staged / "rings.stl")
+            if solids:
+                write_solids(staged / f"rings.{solids}", self.drawn)
         drawings: Drawings = {"rings.html": self.write_html} if html else {}
-        draw_all(folder, RECORD, self.summary, drawings | ({"rings.png": self._draw} if picture else {}), inputs)
+        drawings |= {"rings.png": self._draw} if picture else {}
+        drawings |= {"render.png": lambda path: save_view(path, self.drawn.render())} if render else {}
+        draw_all(folder, RECORD, self.summary, drawings, inputs)
         return self.summary
 
     def _draw(self, path: Path) -> None:
@@ -205,10 +214,14 @@ class RingField:
         plotter.subplot(0, 0)
         rings.draw(plotter)
         window = replace(rings, centre=centre[at][None], normal=sheet_normal[None], r1=half)
-        add(plotter, "close-up at the largest line load", lines(window.closed_circles(96)), BLACK, line_width=6)
-        add_length(plotter, below(centre), float(np.linalg.norm(np.ptp(centre, axis=0))))
+        size = float(np.linalg.norm(np.ptp(centre, axis=0)))
+        if 3.0 * half < size:
+            add(plotter, "close-up at the largest line load", lines(window.closed_circles(96)), BLACK, line_width=6)
+        axes = self._axes
+        add_length(plotter, np.vstack([centre, centre - [0.0, 2.0 * rings.r1, 0.0]]), size, axes)
         is_plane = np.abs(centre[:, 2]).max() <= 1e-9 * np.abs(centre).max()
-        look(plotter, (0.0, 0.0, -1.0) if is_plane else THREE_QUARTERS)
+        tilt = [0.0, 0.0, -1.0] if is_plane else [0.3, -0.25, -1.0]
+        look(plotter, THREE_QUARTERS if axes is None else np.array(tilt) @ axes)
         plotter.subplot(0, 1)
         near = np.linalg.norm(centre - centre[at], axis=1) < 1.3 * half
         force = self.contact_force_N[near]
@@ -218,6 +231,14 @@ class RingField:
         from_below = 2.2 * up - 0.6 * np.cross(up, front) - 4.2 * front  # and from the side: one sees how the rings lie
         look(plotter, from_below, up)
         return plotter
+
+    @property
+    def _axes(self) -> Array | None:
+        """Right, up and front of the mesh where it is flat; None where it is bent."""
+        away = self.centre_mm - self.centre_mm.mean(axis=0)
+        size = np.linalg.svd(away, compute_uv=False)
+        is_bent = len(size) < 3 or size[2] > FLAT_PART * size[1]
+        return None if is_bent else sheet_axes(self.centre_mm)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Centre lines of all rings seen from the front, coloured by contact force, on `ax` or axes of their own."""

@@ -89,12 +89,12 @@ def localize(
 
 
 def run_localize(
-    path: Path, out: Path, window: tuple[float, ...] | None, max_rings: int, **files: bool
+    path: Path, out: Path, window: tuple[float, ...] | None, max_rings: int, **files: Any
 ) -> dict[str, Any]:
     """`localize` and `RingField.save` into `out`, `files` as there; the summary. What the picture needs and what `out`
     would overwrite is checked before anything is solved."""
     inputs = [curtain_file(path)]
-    Pictures(files["picture"], html=files["html"], stem="rings").check(in_space=True)
+    Pictures(files["picture"] or files["render"], html=files["html"], stem="rings").check(in_space=True)
     check_out_job(out, RECORD, inputs)
     return localize(path, window, max_rings).save(out, inputs=inputs, **files)
 

@@ -1,1 +1,6 @@
 """Reading of scenes: records, mesh, outline, edges, supports, loads."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""The names for own supports, listed in `__init__.pyi`: their modules are imported when they are first used."""

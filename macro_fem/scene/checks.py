@@ -10,7 +10,7 @@ from macro_fem.scene.obstacles import Body
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.support_kinds import Edge, Hanging, Track
-from macro_fem.scene.tables import NO_MOVE, Bar, LiveLoad, PatchLoad, Timed, Vector, Wind, in_3d
+from macro_fem.scene.tables import FACTORED, NO_MOVE, Bar, Load, PatchLoad, Timed, Vector, Wind, in_3d
 from rve.common.typed import BadField
 
 OF_HOOKS, OF_REST = ("capacity", "rings_per_hook"), ("tolerance", "max_iterations", "stabilising_tension")
@@ -46,7 +46,7 @@ def _contradictions(scene: Scene) -> Iterator[str]:
     if scene.start is not None and not is_laid:
         let_go = "" if scene.motion is None else "; [motion] start = 'reference' begins there"
         yield f"[start]: has no effect without bodies and following pressure{let_go}"
-    is_live = [isinstance(item, LiveLoad) and not isinstance(item, Bar) for item in scene.items]
+    is_live = [isinstance(item, Load) and not isinstance(item, Bar) for item in scene.items]
     changes = any(is_live) or any(any(getattr(item, "move", ())) for item in scene.items)
     if steps > 1 and not changes:
         yield f"[load] steps = {steps}: has no effect without live loads and moves"
@@ -112,16 +112,19 @@ def keys_set(record: object, keys: Iterable[str]) -> list[str]:
 def _of_combinations(scene: Scene) -> Iterator[str]:
     """Combinations of one name, of loads that are not there, or of a scene in motion."""
     names = [one.name for one in scene.combination]
-    kinds = {"name", "weight"} | {item.kind for item in scene.of(LiveLoad)}
+    kinds = {"name", "weight"} | {item.kind for item in scene.of(Load)}
     for one in scene.combination:
         where = f"[combination] {one.name}"
         if names.count(one.name) > 1:
             yield f"{where}: is the name of two combinations"
         if scene.motion is not None:
             yield f"{where}: has no effect with [motion]; give the factored loads"
-        for item in fields(one):
-            if item.name not in kinds and getattr(one, item.name) != 1.0:
-                yield f"{where}: {item.name}: has no effect, as the scene has no [load.{item.name}]"
+        for kind in [*(item.name for item in fields(one) if item.name != "own"), *dict(one.own)]:
+            if kind not in kinds and one.factor(kind) != 1.0:
+                yield f"{where}: {kind}: has no effect, as the scene has no [load.{kind}]"
+        for item in scene.of(Load):
+            if one.factor(item.kind) != 1.0 and scaled(item, 0.5, FACTORED) == item:
+                yield f"{where}: {item.kind}: has no effect, as it has no field force, pressure or mass"
 
 
 def check_bounds(scene: Scene, by: str) -> None:

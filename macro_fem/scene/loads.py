@@ -11,21 +11,26 @@ n layers of solidity s behind each other are one screen of solidity 1 - (1 - s)^
 
 from dataclasses import replace
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 
+from homogenize import LawInterval, MembraneLaw, with_material
+from homogenize.laws import Law
 from macro_fem.fem.assembly import load_vector
-from macro_fem.fem.cells import cross
+from macro_fem.fem.cells import cross, in_space_of
 from macro_fem.fem.discretization import Discretization
 from macro_fem.scene.meshing.mesh import CurtainMesh, edge_nodes, facet_nodes, point_node
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
+from macro_fem.scene.tables import Bar, EdgeLoad, Load, PatchLoad, PointLoad, Wind
 from rve import DirectOptions
 from rve import solidity as solidity_of
 from rve.common import Array
 from rve.geometry import CellInfo
 
+Kind = TypeVar("Kind", bound=MembraneLaw | LawInterval)
+OURS = (Bar, EdgeLoad, PatchLoad, PointLoad, Wind)
 PER_MM2 = 1e-6
 """m2 per mm2: kg/m2 times m/s2 is N/m2."""
 AIR_DENSITY = 1.25
@@ -43,8 +48,18 @@ def areal_mass(scene: Scene, cell: CellInfo | None) -> float:
     if scene.curtain.areal_mass is not None:
         return scene.weight * scene.curtain.areal_mass
     if cell is None:
-        scene.refuse("[curtain] areal_mass: is missing, and the law has no rings to tell it")
+        scene.refuse("[curtain] areal_mass: is missing, in kg/m2, and the law does not tell it")
     return scene.weight * cell.areal_mass_kg_per_m2
+
+
+def meet(scene: Scene, law: Kind) -> tuple[Scene, Kind]:
+    """The scene with the areal mass of a law that knows it without its rings, and the law with the scene's material."""
+    law = with_material(law, dict(scene.material), f"{scene.source}: [material]")
+    own = law.law if isinstance(law, LawInterval) else law
+    mass = own.areal_mass_kg_per_m2 if isinstance(own, Law) else None
+    if mass is None or scene.curtain.areal_mass is not None:
+        return scene, law
+    return replace(scene, curtain=replace(scene.curtain, areal_mass=mass)), law
 
 
 def weight_per_area(scene: Scene, cell: CellInfo | None) -> Array:
@@ -79,7 +94,35 @@ def nodal_forces(
                 f"[load.wind] speed = {wind.speed:g}: the law has no rings to tell the drag; give the pressure"
             )
         live += 0.0 if wind.follows else load_vector(disc, wind_per_area(wind, scene, cell))
+    for own in (one for one in scene.of(Load) if not isinstance(one, OURS)):
+        live += own_forces(own, scene, mesh, disc)
     return dead + factor * live
+
+
+def own_forces(load: Load, scene: Scene, mesh: CurtainMesh, disc: Discretization) -> Array:
+    """Nodal forces (n_nodes, d) of a load of a plugin: per area even in each cell, as bounds need it, per length even
+    about each node. InputError for what says none."""
+    forces, kind = np.zeros((disc.n_nodes, scene.d)), type(load)
+    if kind.per_area is Load.per_area and kind.per_length is Load.per_length:
+        scene.refuse(f"{load.where}: {kind.__name__} has neither per_area nor per_length")
+    if kind.per_area is not Load.per_area:
+        middles = mesh.mesh.p.T[mesh.mesh.t.T].mean(axis=1)
+        each = _as_forces(load.per_area(middles), middles, load, scene)
+        forces += load_vector(disc, np.tile(each, (disc.n_quad, 1)))
+    if kind.per_length is not Load.per_length:
+        shares = edge_shares(mesh, disc, vars(load)["edge"])
+        forces += shares[:, None] * _as_forces(load.per_length(disc.nodes), disc.nodes, load, scene)
+    return forces
+
+
+def _as_forces(given: Array, X: Array, load: Load, scene: Scene) -> Array:
+    """Forces (n, d) at points X (n, 2); InputError for other shapes and numbers that are not finite."""
+    given = np.asarray(given, float)
+    if given.shape not in ((len(X), 2), (len(X), 3)) or not np.isfinite(given).all():
+        scene.refuse(f"{load.where}: {type(load).__name__} gives {given.shape}, not finite forces (n, 2) or (n, 3)")
+    if given.shape[1] > scene.d and given[:, 2].any():
+        scene.refuse(f"{load.where}: leaves the plane; say why by its space_reason")
+    return np.asarray(in_space_of(given[:, : scene.d], scene.d))
 
 
 def bar_masses(scene: Scene, mesh: CurtainMesh, disc: Discretization, *, turning: bool = False) -> Array:

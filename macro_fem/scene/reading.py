@@ -11,13 +11,22 @@ from macro_fem.scene.moving import Ball, Motion
 from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import Mesh, MeshFile, Outline, Shape
-from macro_fem.scene.tables import Combination, Item, LiveLoad, Load, Solver
-from rve.common import InputError, Typed, read_as, read_toml, read_typed, refuse_unknown, shown
+from macro_fem.scene.tables import Combination, Item, Load, Loading, Project, Solver
+from rve.common import InputError, Typed, read_as, read_toml, read_typed, refuse_unknown, shown, types_of
 from rve.common.materials import described
+from rve.common.plugins import load_installed
 from rve.common.typed import not_one_of
 
-PARTS: dict[str, type[Typed]] = {"mesh": Mesh, "load": Load, "solver": Solver, "start": Start, "motion": Motion}
+PARTS: dict[str, type[Typed]] = {
+    "mesh": Mesh,
+    "load": Loading,
+    "solver": Solver,
+    "start": Start,
+    "motion": Motion,
+    "project": Project,
+}
 """Tables of a scene file that are one record."""
+PLUGIN = "; one of a plugin needs --plugin FILE.py"
 LISTS: dict[str, type[Item]] = {"support": support_kinds.Support, "obstacle": Obstacle, "body": Ball}
 """Lists of a scene file whose entries say their `kind`."""
 
@@ -34,6 +43,7 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     >>> read_scene({"curtain": {"width": 1000.0, "height": 500.0}, "support": {"kind": "top"}}).support
     (Top(gather=1.0, move=(0.0, 0.0)),)
     """
+    load_installed()
     tables = ("curtain", *LISTS, *PARTS, "material", "combination")
     for name in data if isinstance(data, dict) else ():
         if name not in tables and _home(name):
@@ -43,7 +53,7 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     for entry in loads if isinstance(loads, list) else [loads]:
         if isinstance(entry, dict) and "kind" in entry:
             kind = entry["kind"]
-            told = f"write [[load.{kind}]]" if kind in [*LiveLoad.kinds] else not_one_of(kind, LiveLoad.kinds)
+            told = f"write [[load.{kind}]]" if kind in [*Load.kinds] else not_one_of(kind, Load.kinds)
             raise InputError(f"{source}: [load] kind = {shown(kind)}: {told}")
     for name in ("curtain", "load"):
         if not isinstance(data.get(name, {}), dict):
@@ -51,13 +61,13 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     if "curtain" not in data:
         raise InputError(f"{source}: [curtain]: is missing")
     load = data.get("load", {})
-    refuse_unknown(load, ("gravity", "steps", *LiveLoad.kinds), f"{source}: [load]")
+    refuse_unknown(load, ("gravity", "steps", *Load.kinds), f"{source}: [load]")
     items = []
     for name, base in LISTS.items():
         items += read_records(data.get(name, []), base.kinds, f"{source}: [{name}]")
-    for name, kind in LiveLoad.kinds.items():
+    for name, kind in Load.kinds.items():
         items += read_records(load.get(name, []), kind, f"{source}: [load.{name}]")
-    single = data | {"load": {key: value for key, value in load.items() if key not in LiveLoad.kinds}}
+    single = data | {"load": {key: value for key, value in load.items() if key not in Load.kinds}}
     curtain, notes = {"shape": "rectangle"} | data["curtain"], tuple[str, ...]()
     if curtain["shape"] == "dxf":
         curtain, notes = _from_dxf(curtain, Path(source))
@@ -69,7 +79,8 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
         if isinstance(shape, MeshFile) and key in data.get("mesh", {}):
             raise InputError(f'{source}: [mesh] {key} = {data["mesh"][key]!r}: has no effect with shape = "file"')
     parts["material"] = described(data.get("material", {}), f"{source}: [material]")
-    parts["combination"] = tuple(read_records(data.get("combination", []), Combination, f"{source}: [combination]"))
+    factors = [_with_own(one) for one in _listed(data.get("combination", []), f"{source}: [combination]")]
+    parts["combination"] = tuple(read_records(factors, Combination, f"{source}: [combination]"))
     scene = Scene(shape, tuple(items), **parts, source=Path(source), drawing=data["curtain"].get("file"), notes=notes)
     check_scene(scene)
     return scene
@@ -77,7 +88,7 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
 
 def _home(word: Any) -> str:
     """How a scene names a kind, "" if none has this name."""
-    lists = [f"[[load.{word}]]" for kind in LiveLoad.kinds if kind == word]
+    lists = [f"[[load.{word}]]" for kind in Load.kinds if kind == word]
     lists += [f'[[{name}]] kind = "{word}"' for name, base in LISTS.items() for kind in base.kinds if kind == word]
     lists += [f'[curtain] shape = "{word}"' for kind in Shape.kinds if kind == word]
     return f"write {' or '.join(lists)}" if lists else ""
@@ -93,6 +104,23 @@ def _from_dxf(curtain: dict[str, Any], source: Path) -> tuple[dict[str, Any], tu
     return curtain | {"shape": "outline", "outline": drawing.outline, "holes": drawing.holes}, drawing.notes
 
 
+def _listed(tables: Any, where: str) -> list[Any]:
+    """An array of tables, one of which may stand alone; InputError for what is none."""
+    tables = [tables] if isinstance(tables, dict) else tables
+    if not isinstance(tables, list):
+        raise InputError(f"{where} = {shown(tables)}: is not a table")
+    return tables
+
+
+def _with_own(table: Any) -> Any:
+    """The table of a combination with the factors on loads of plugins in an entry of their own."""
+    own = Load.kinds.keys() - types_of(Combination)
+    if not isinstance(table, dict) or not own & table.keys():
+        return table
+    rest = {key: value for key, value in table.items() if key not in own}
+    return rest | {"own": [(key, table[key]) for key in table if key in own]}
+
+
 def read_records(
     tables: Any, kinds: type[Typed] | Mapping[str, type[Any]], where: str, word: str = "kind"
 ) -> list[Any]:
@@ -100,9 +128,7 @@ def read_records(
 
     InputError for kinds, keys and values without sense.
     """
-    tables = [tables] if isinstance(tables, dict) else tables
-    if not isinstance(tables, list):
-        raise InputError(f"{where} = {shown(tables)}: is not a table")
+    tables = _listed(tables, where)
     if not isinstance(kinds, Mapping):
         return [read_typed(kinds, table, where) for table in tables]
     found = []
@@ -115,7 +141,7 @@ def read_records(
                 home = "".join(_home(key) for key in table if key in kinds)
                 raise InputError(f"{where} {word}: is missing; {home or 'it is one of ' + ', '.join(kinds)}")
             home = f"; {_home(kind)}".rstrip("; ")
-            raise InputError(f"{where} {word} = {shown(kind)}: {not_one_of(kind, kinds)}{home}")
+            raise InputError(f"{where} {word} = {shown(kind)}: {not_one_of(kind, kinds)}{home}{PLUGIN}")
         rest = {key: value for key, value in table.items() if key != word}
         found.append(read_typed(kinds[kind], rest, f"{where} ({kind})" if word == "kind" else where))
     return found

@@ -14,7 +14,7 @@ from macro_fem.scene.moving import Ball, Motion
 from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.shapes import Mesh, MeshFile, Shape
 from macro_fem.scene.support_kinds import Support
-from macro_fem.scene.tables import Combination, Item, Load, Solver, Vector, in_3d, leaves_plane
+from macro_fem.scene.tables import Combination, Item, Loading, Project, Solver, Vector, in_3d, leaves_plane
 from rve.common import Array, InputError, check_fields, shown
 from rve.common.materials import described
 
@@ -27,7 +27,7 @@ class Scene:
 
     `material`: of the rings, in place of the law's (`homogenize.with_material`). `source` names the scene's file, in
     whose folder relative mesh files are. `notes`: what was mended in the `drawing` that the sheet is read from.
-    `weight`: factor on the weight of the mesh, of a combination of loads.
+    `weight`: factor on the weight of the mesh, of a combination of loads. `project`: what heads reports.
 
     >>> from macro_fem import Bar, Hooks, Rectangle
     >>> Scene(Rectangle(3000, 2500), [Hooks(pitch=200), Bar(mass=12)]).support[0].pitch
@@ -37,12 +37,13 @@ class Scene:
     curtain: Shape
     items: tuple[Item, ...] = ()
     mesh: Mesh = field(default_factory=Mesh)
-    load: Load = field(default_factory=Load)
+    load: Loading = field(default_factory=Loading)
     solver: Solver = field(default_factory=Solver)
     start: Start | None = None
     motion: Motion | None = None
     material: tuple[tuple[str, Any], ...] = ()
     combination: tuple[Combination, ...] = ()
+    project: Project = field(default_factory=Project, repr=False)
     source: Path = Path("scene")
     drawing: str | None = None
     notes: tuple[str, ...] = ()
@@ -57,7 +58,7 @@ class Scene:
             if not isinstance(item, Item):
                 self.refuse(
                     f"{shown(item)}: is no support, load or obstacle; "
-                    "mesh, load, solver, start, motion and combination are given by name"
+                    "mesh, load, solver, start, motion, project and combination are given by name"
                 )
         if not isinstance(self.material, Mapping | tuple):
             self.refuse(f"material = {shown(self.material)}: is no dict; give {{'material': NAME}}")

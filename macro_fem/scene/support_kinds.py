@@ -75,7 +75,11 @@ class Places(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Support(Timed):
-    """What holds the curtain; in motion until `release`, s, where `history` scales `move` and `drawn`."""
+    """What holds the curtain; in motion until `release`, s, where `history` scales `move` and `drawn`.
+
+    Base of own supports: `class Rope(Support, kind="rope")` is `kind = "rope"` of `[[support]]` in a scene file. They
+    say where they hold the flat sheet by `places`, and how by `hold`, for which `held_at` does.
+    """
 
     kinds: ClassVar[dict[str, type[Any]]] = {}
     table = "support"
@@ -98,10 +102,11 @@ class Support(Timed):
         """
         raise NotImplementedError
 
-    def _held(self, name: str, border: Border, nodes: Index, target: Array, held: str = "both") -> Held:
-        """The nodes held at places `target` (k, 2); InputError for a gather that moves none of them."""
+    def held_at(self, name: str, border: Border, nodes: Index, target: Array, held: str = "both") -> Held:
+        """The nodes held at places `target` (k, 2) or (k, 3) in the components of `held`; InputError for a gather that
+        moves none of them."""
         mask = np.tile([held == "both" or axis in held for axis in "xyz"], (len(target), 1))
-        gather, way = getattr(self, "gather", 1.0), target - border.points[nodes]
+        gather, way = getattr(self, "gather", 1.0), target[:, :2] - border.points[nodes]
         if gather != 1.0 and np.abs(way[mask[:, :2]]).max(initial=0.0) <= 1e-9 * border.size:
             raise InputError(f"[support] gather = {gather:g}: has no effect on {name}, which it holds as it is")
         return Held(name, nodes, mask, padded(target))
@@ -173,7 +178,7 @@ class Corners(Support, kind="corners"):
         return Places(border.points[border.nodes("top")[[0, -1]]])
 
     def hold(self, border: Border, nodes: Index) -> Held:
-        return self._held("corners", border, nodes, self._narrowed(border, nodes))
+        return self.held_at("corners", border, nodes, self._narrowed(border, nodes))
 
 
 @dataclass(frozen=True)
@@ -184,7 +189,7 @@ class Top(Support, kind="top"):
     move: Way = NO_MOVE
 
     def hold(self, border: Border, nodes: Index) -> Held:
-        return self._held("top", border, nodes, self._narrowed(border, nodes))
+        return self.held_at("top", border, nodes, self._narrowed(border, nodes))
 
 
 @dataclass(frozen=True)
@@ -192,7 +197,7 @@ class Rail(Support, kind="rail"):
     """The top edge held in height, and in space in z too, free to slide sideways."""
 
     def hold(self, border: Border, nodes: Index) -> Held:
-        return self._held("rail", border, nodes, border.points[nodes], "yz")
+        return self.held_at("rail", border, nodes, border.points[nodes], "yz")
 
 
 @dataclass(frozen=True)
@@ -219,7 +224,7 @@ class Hooks(Hanging, kind="hooks"):
 
     def hold(self, border: Border, nodes: Index) -> Held:
         held = "yz" if self.sliding else "both"
-        return self._held("hooks", border, nodes, self._narrowed(border, nodes), held)
+        return self.held_at("hooks", border, nodes, self._narrowed(border, nodes), held)
 
 
 @dataclass(frozen=True)
@@ -263,7 +268,7 @@ class Edge(Support, kind="edge"):
             return self._on_line(border, *map(np.array, self.along))
         X = border.points[nodes]
         centre = 0.5 * (X.min(axis=0) + X.max(axis=0))
-        return self._held(f"edge {self.edge}", border, nodes, centre + self.gather * (X - centre), self.held)
+        return self.held_at(f"edge {self.edge}", border, nodes, centre + self.gather * (X - centre), self.held)
 
     def _on_line(self, border: Border, first: Array, last: Array) -> Held:
         """The edge evenly between two points (3,) of a straight line, held or free to slide."""
@@ -305,7 +310,7 @@ class Point(Support, kind="point"):
         return Places(np.array([self.at]))
 
     def hold(self, border: Border, nodes: Index) -> Held:
-        return self._held(f"point ({self.at[0]:g}, {self.at[1]:g})", border, nodes, border.points[nodes], self.held)
+        return self.held_at(f"point ({self.at[0]:g}, {self.at[1]:g})", border, nodes, border.points[nodes], self.held)
 
 
 @dataclass(frozen=True, eq=False)

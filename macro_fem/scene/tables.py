@@ -5,12 +5,14 @@ towards the viewer; a rectangle spans from (0, 0) to (width, height), a disk is 
 three components and are kept as given; a third one that is not 0 takes the curtain into space.
 """
 
+import datetime
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from rve.common import Typed
+from rve.common import Array, Typed
+from rve.common.plugins import register
 
 LEAST_MM, MOST_MM = 1e-6, 1e9
 """Range of lengths and coordinates, in which squares and ratios stay finite."""
@@ -77,7 +79,8 @@ class Entry(Typed):
         """Make the kind known to scene files."""
         super().__init_subclass__()
         if kind:
-            cls.kind, cls.kinds[kind] = kind, cls
+            cls.kind = kind
+            register(cls.kinds, kind, cls)
 
 
 class Item(Entry):
@@ -109,16 +112,33 @@ class Timed(Item):
     history: History = field(default=(), repr=False)
 
 
-class LiveLoad(Timed):
-    """A load besides the weight of the mesh; it grows over the load steps, unless it is the weight of a bar."""
+class Load(Timed):
+    """Base of loads besides the weight of the mesh: `class Snow(Load, kind="snow")` is `[load.snow]` in a scene file.
+
+    Own ones say a force by `per_area`, or by `per_length` with a field `edge`. It is proportional to those of its
+    fields that are called force, pressure or mass, which load combinations and a `history` scale.
+    `Load(gravity=..., steps=...)` itself is a `Loading`.
+    """
 
     kinds: ClassVar[dict[str, type[Any]]] = {}
     table = property(lambda self: f"load.{self.kind}")
     where = property(lambda self: f"[{self.table}]")
 
+    def __new__(cls, *args: Any, **kwargs: Any) -> Any:
+        """A load, or the table [load] if none of its kinds is asked for."""
+        return super().__new__(cls) if cls is not Load else Loading(*args, **kwargs)
+
+    def per_area(self, X: Array) -> Array:
+        """Force per reference area (n, 2) or (n, 3), N/mm2, at points X (n, 2) of the flat sheet, mm."""
+        raise NotImplementedError
+
+    def per_length(self, X: Array) -> Array:
+        """Force per reference length of its `edge` (n, 2) or (n, 3), N/mm, at points X (n, 2) of the flat sheet, mm."""
+        raise NotImplementedError
+
 
 @dataclass(frozen=True)
-class EdgeLoad(LiveLoad, kind="edge"):
+class EdgeLoad(Load, kind="edge"):
     """Force per reference length of a named edge, N/mm."""
 
     edge: Name
@@ -126,7 +146,7 @@ class EdgeLoad(LiveLoad, kind="edge"):
 
 
 @dataclass(frozen=True)
-class PointLoad(LiveLoad, kind="point"):
+class PointLoad(Load, kind="point"):
     """Force in N on the material point `at`; `rings_per_hook`: the rings that share it."""
 
     at: Place
@@ -135,7 +155,7 @@ class PointLoad(LiveLoad, kind="point"):
 
 
 @dataclass(frozen=True)
-class PatchLoad(LiveLoad, kind="patch"):
+class PatchLoad(Load, kind="patch"):
     """Force in N, distributed evenly over the reference disk of `radius` around `at`."""
 
     at: Place
@@ -144,7 +164,7 @@ class PatchLoad(LiveLoad, kind="patch"):
 
 
 @dataclass(frozen=True)
-class Bar(LiveLoad, kind="bar"):
+class Bar(Load, kind="bar"):
     """A bar of `mass` kg along a named edge. A straight one keeps the edge on a line whose length is free to shrink."""
 
     mass: Mass
@@ -153,7 +173,7 @@ class Bar(LiveLoad, kind="bar"):
 
 
 @dataclass(frozen=True)
-class Wind(LiveLoad, kind="wind"):
+class Wind(Load, kind="wind"):
     """A load of `pressure` N/m2 of reference area along `direction`, whose length does not matter.
 
     Instead of the pressure: `speed` in m/s, with `air_density` in kg/m3 (1.25 by default); its drag is that of the
@@ -187,6 +207,8 @@ class Wind(LiveLoad, kind="wind"):
         return self.follows or self.speed is not None
 
 
+FACTORED = ("force", "pressure", "mass")
+"""Fields of loads that load combinations scale."""
 PartialFactor = Annotated[float, Meta(ge=0.0, le=1e3)]
 
 
@@ -204,11 +226,37 @@ class Combination(Typed):
     edge: PartialFactor = 1.0
     point: PartialFactor = 1.0
     patch: PartialFactor = 1.0
+    own: tuple[tuple[str, PartialFactor], ...] = ()
+    """Of loads of plugins, by their kinds; in a file they are keys as the others."""
+
+    def factor(self, kind: str) -> float:
+        """The factor on loads of a kind."""
+        return float(vars(self).get(kind, dict(self.own).get(kind, 1.0)))
+
+
+Words = Annotated[str, Meta(max_length=200)]
 
 
 @dataclass(frozen=True)
-class Load(Typed):
-    """Weight, and how live loads grow; `steps` applies live loads and moves in equal steps.
+class Project(Typed):
+    """What a report is headed by; a date of TOML is kept as its text, "2026-11-28"."""
+
+    title: Words = ""
+    client: Words = ""
+    author: Words = ""
+    number: Words = ""
+    date: Words = ""
+
+    def __post_init__(self) -> None:
+        """A date becomes a text, then every field is checked."""
+        if isinstance(self.date, datetime.date):
+            object.__setattr__(self, "date", self.date.isoformat())
+        super().__post_init__()
+
+
+@dataclass(frozen=True)
+class Loading(Typed):
+    """The table [load]: weight, and how live loads grow; `steps` applies live loads and moves in equal steps.
 
     `gravity` in m/s2: a number is downwards, a vector [x, y] or [x, y, z] has the direction of the weight.
     """

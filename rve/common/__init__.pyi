@@ -22,10 +22,10 @@ from .files import versions as versions
 from .files import write_text as write_text
 from .materials import STEEL as STEEL
 from .materials import material_of as material_of
+from .progress import Progress as Progress
 from .progress import heard_by as heard_by
 from .progress import part_of as part_of
 from .progress import tell as tell
-from .progress import time_left as time_left
 from .records import Array as Array
 from .records import ByValue as ByValue
 from .records import Flags as Flags
@@ -43,7 +43,6 @@ from .tensor import trace as trace
 from .texts import csv_text as csv_text
 from .texts import digits as digits
 from .texts import filled as filled
-from .texts import number_column as number_column
 from .texts import numbers_of as numbers_of
 from .texts import read_as as read_as
 from .texts import read_columns as read_columns

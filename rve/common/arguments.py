@@ -17,7 +17,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 MADE_BY = {
     "Scene": "load_scene reads a file, read_scene a dict",
     "StrainTable": "read_table reads a file",
-    "Cell": "Cell(r1, r2) makes one",
+    "Cell": "Cell(r1, r2) makes one, and Cell.of(inner=8, wire=1)",
 }
 """How users come by the records that functions take."""
 

@@ -38,6 +38,10 @@ UNREADABLE = (OSError, ValueError, LookupError, TypeError, AttributeError, Recur
 """What JSON that is missing, damaged or of another kind raises where its entries are used."""
 
 
+PLUGINS: dict[str, str] = {}
+"""Files of plugins that this process has imported (`rve.common.plugins`): absolute path to SHA-256."""
+
+
 @contextmanager
 def _staging(folder: Path, name: str, *, makes: bool = False) -> Iterator[Path]:
     """A new hidden folder inside `folder`, removed at the end; InputError, "name: cannot ...", if it cannot be made.
@@ -110,14 +114,14 @@ def checksum(path: AnyPath) -> str:
 
 
 def versions(*more: str) -> dict[str, str]:
-    """Versions of what has computed a result; `more` packages besides those of every result."""
+    """Versions of what has computed a result, of plugins their checksums; `more` packages besides those of all."""
     found = {"python": platform.python_version()}
     for name in ("ring-mesh", "numpy", "scipy", *more):
         try:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             found[name] = "absent"
-    return found
+    return found | {f"plugin {Path(path).name}": content for path, content in PLUGINS.items()}
 
 
 def sidecar_path(path: AnyPath) -> Path:

@@ -14,6 +14,7 @@ from msgspec import Meta
 
 from rve.common.cell_fields import STEEL_KG_PER_MM3, Density, DensityPerM3
 from rve.common.errors import InputError, shown
+from rve.common.plugins import load_installed
 from rve.common.typed import Typed, did_you_mean, read_entry, refuse_unknown, types_of
 
 Young = Annotated[float, Meta(ge=500.0, le=2e6, title="N/mm2")]
@@ -66,7 +67,7 @@ MATERIALS = {
         Material("copper", 8.94e-6, 115e3, 0.34, 180.0, 240.0),
     )
 }
-"""Named materials. Strengths are least values of the standards named beside them."""
+"""Named materials. Strengths are least values of the standards named beside them. A plugin adds its own by name."""
 
 
 def named_material(name: str, where: str = "material") -> Material:
@@ -75,6 +76,8 @@ def named_material(name: str, where: str = "material") -> Material:
     >>> named_material("steel 1.4404").young_N_per_mm2
     200000.0
     """
+    if str(name) not in MATERIALS:
+        load_installed()
     if str(name) not in MATERIALS:
         known = f"{did_you_mean(name, MATERIALS)}known are {', '.join(MATERIALS)}"
         raise InputError(f"{where} = {shown(name)}: {known}; or give density and young")

@@ -14,10 +14,11 @@ import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from hashlib import sha256
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from rve.common.errors import InputError, shown
 from rve.common.files import TABLE_FORMAT, UNREADABLE, AnyPath
@@ -92,7 +93,7 @@ def _what_is(path: AnyPath) -> str:
         with place.open("rb") as file:
             text = file.read(MOST_JSON_BYTES).decode("utf-8-sig")
         header = {folded(name) for name in re.split(r"[,;\t]", text.partition("\n")[0])}
-        if {"alphadeg", "betadeg"} <= header:
+        if "e11" in header or {"alphadeg", "betadeg"} <= header:
             return "strain-load table" if "e11" in header else "list of loads"
         record = json.loads(text) if text.lstrip()[:1] == "{" else tomllib.loads(text)
         if record.get("format") == TABLE_FORMAT:
@@ -170,62 +171,84 @@ def read_toml(path: AnyPath) -> dict[str, Any]:
     return found
 
 
-def read_columns(path: AnyPath, required: tuple[str, ...], optional: Sequence[str] = ()) -> dict[str, list[str]]:
-    """Columns of a CSV file as text, by name; blank lines are skipped. InputError for a missing column, for one that is
-    none of those `required` and `optional` but for case and blanks, and for no rows."""
-    rows: list[list[str]] = _parse(
-        path, MOST_CSV_BYTES, "a CSV text file", lambda text: [*filter(None, csv.reader(io.StringIO(text, newline="")))]
-    )
+@dataclass(frozen=True)
+class Columns:
+    """Columns of text by name; `source` and `places` say in messages where each row is from."""
+
+    source: AnyPath
+    texts: Mapping[str, Sequence[str]]
+    places: Sequence[str]
+
+    def numbers(self, name: str, most: float, known: Sequence[bool] | None = None) -> Array:
+        """One column as numbers, nan for empty cells and where the column is absent.
+
+        InputError for texts that are no numbers, those above `most` in size, and empty cells of rows that must be
+        `known`.
+        """
+        import numpy as np
+
+        texts = self.texts.get(name, [""] * len(self.places))
+        values = np.full(len(texts), np.nan)
+        for row, text in enumerate(texts):
+            try:
+                values[row] = float(text) if text.strip() else np.nan
+            except ValueError:
+                hint = "".join(f"; {words}" for words in [alone(text)] if words)
+                self.refuse(row, name, f"{shown(text)} is not a number{hint}")
+        missing = np.isnan(values) & (np.zeros(len(texts), dtype=bool) if known is None else known)
+        bad = np.flatnonzero(missing | np.isinf(values) | (np.abs(values) > most))
+        if len(bad):
+            wrong = f"must be from {-most:g} to {most:g}" if np.isfinite(values[bad[0]]) else "is not a finite number"
+            self.refuse(int(bad[0]), name, f"{shown(texts[bad[0]])} {wrong}")
+        return values
+
+    def refuse(self, row: int, name: str, what: str) -> NoReturn:
+        """InputError that names a row and a column."""
+        raise InputError(f"{self.source}: {self.places[row]}, column {name}: {what}") from None
+
+
+def read_columns(path: AnyPath, required: Sequence[str], optional: Sequence[str] = ()) -> Columns:
+    """Columns of a CSV file; commas are between them, or semicolons or tabs; blank lines and lines that begin with #
+    are skipped. InputError for a missing column, for one that is none of those `required` and `optional` but for case
+    and blanks, and for no rows."""
+    lines, rows = _parse(path, MOST_CSV_BYTES, "a CSV text file", _rows)
     header = [" ".join(name.split()) for name in rows[0]] if rows else []
-    has = f"it has {', '.join(header)[:400] or 'no header line'}"
-    for name in (*required, *header):
-        if header.count(name) > 1:
-            raise InputError(f"{path}: column {name} occurs twice; {has}")
-        if name not in header:
-            for sign, words in ((";", "semicolons"), ("\t", "tabs")):
-                if rows and sign in "".join(rows[0]):
-                    raise InputError(f"{path}: has {words} between columns; write commas, and decimals with a point")
-            for other in nearest(name, [other for other in header if other not in required]):
-                has = f"write {name} in place of {other}"
-            raise InputError(f"{path}: column {name} is missing; {has}")
-    plain = {folded(name): name for name in optional}
-    for name in header:
-        if name not in optional and (known := plain.get(folded(name))):
-            raise InputError(f"{path}: column {name}: write {known}")
+    check_header(path, header, required, optional)
     if len(rows) < 2:
         raise InputError(f"{path}: has no rows")
-    for number, row in enumerate(rows[1:], 2):
+    for line, row in zip(lines, rows, strict=True):
         if len(row) != len(header):
             hint = "; decimals have a point, no comma" if len(row) > len(header) else ""
             raise InputError(
-                f"{path}: line {number} has {len(row)} cells, but the header has {len(header)} columns{hint}"
+                f"{path}: line {line} has {len(row)} cells, but the header has {len(header)} columns{hint}"
             )
-    return dict(zip(header, map(list, zip(*rows[1:], strict=True)), strict=True))
+    texts = dict(zip(header, zip(*rows[1:], strict=True), strict=True))
+    return Columns(path, texts, [f"line {line}" for line in lines[1:]])
 
 
-def number_column(
-    path: AnyPath, columns: dict[str, list[str]], name: str, most: float, known: list[bool] | None = None
-) -> Array:
-    """One column as numbers, nan for empty cells and where the column is absent.
+def check_header(source: AnyPath, header: Sequence[str], required: Sequence[str], optional: Sequence[str]) -> None:
+    """InputError for names of columns as of `read_columns`."""
+    has = f"it has {', '.join(filter(None, header))[:400] or 'no header line'}"
+    for name in (*required, *filter(None, header)):  # pandas writes a column without a name
+        if header.count(name) > 1:
+            raise InputError(f"{source}: column {name} occurs twice; {has}")
+        if name not in header:
+            for other in nearest(name, [other for other in header if other not in required]):
+                has = f"write {name} in place of {other}"
+            raise InputError(f"{source}: column {name} is missing; {has}")
+    plain = {folded(name): name for name in optional}
+    for name in header:
+        if name not in optional and (known := plain.get(folded(name))):
+            raise InputError(f"{source}: column {name}: write {known}")
 
-    InputError for texts that are no numbers, those above `most` in size, and empty cells of rows that must be `known`.
-    """
-    import numpy as np
 
-    texts = columns.get(name, [""] * len(next(iter(columns.values()))))
-    values = np.full(len(texts), np.nan)
-    for row, text in enumerate(texts):
-        try:
-            values[row] = float(text) if text.strip() else np.nan
-        except ValueError:
-            hint = "".join(f"; {words}" for words in [alone(text)] if words)
-            raise InputError(f"{path}: line {row + 2}, column {name}: {shown(text)} is not a number{hint}") from None
-    missing = np.isnan(values) & (np.zeros(len(texts), dtype=bool) if known is None else known)
-    bad = np.flatnonzero(missing | np.isinf(values) | (np.abs(values) > most))
-    if len(bad):
-        wrong = f"must be from {-most:g} to {most:g}" if np.isfinite(values[bad[0]]) else "is not a finite number"
-        raise InputError(f"{path}: line {bad[0] + 2}, column {name}: {shown(texts[bad[0]])} {wrong}")
-    return values
+def _rows(text: str) -> tuple[list[int], list[list[str]]]:
+    """The rows of a CSV text that are no comments, and the numbers of their lines."""
+    first = next((line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"), "")
+    sign = next((sign for sign in ";\t" if sign in first and "," not in first), ",")
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=sign)
+    kept = [(reader.line_num, row) for row in reader if any(map(str.strip, row)) and row[0].lstrip()[:1] != "#"]
+    return [line for line, _ in kept], [row for _, row in kept]
 
 
 def numbers_of(text: str, option: str, form: str = "") -> list[float]:

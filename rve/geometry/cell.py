@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from msgspec import Meta
@@ -12,6 +12,7 @@ from msgspec import Meta
 from rve.common import InputError, Typed, shown
 from rve.common.cell_fields import ArealMass, Density, Length, areal_mass, check_rings, ring_volume
 from rve.common.materials import STEEL, Material, named_material
+from rve.common.ring_sizes import RING_SIZES, radii_of
 from rve.common.typed import read_typed
 from rve.geometry.weave import FOUR_IN_ONE, WEAVES, Weave, named_weave, supercell
 
@@ -77,13 +78,26 @@ class Cell(Typed):
             self.refuse(f"density = {self.density:g}: {metal.name} has {theirs:g} kg/mm3; give one of the two")
         return replace(metal, density_kg_per_mm3=self.density)
 
+    @classmethod
+    def of(cls, *, weave: Weave | str = FOUR_IN_ONE, **sizes: Any) -> Self:
+        """The mesh of a ring as makers write it, by two of `inner`, `outer`, `wire` (diameters in mm), `ar` (inner over
+        wire), `gauge` ("16 awg", "16 swg"), `r1` and `r2`; all else as in `Cell`.
+
+        InputError for sizes that are too few, contradict each other, or make no mesh.
+
+        >>> Cell.of(inner=8, wire=1.6, weave="4-in-1").r1, Cell.of(ar=9, wire=1).r1
+        (4.8, 5.0)
+        """
+        known = {name: sizes.pop(name) for name in RING_SIZES if name in sizes}
+        return cls(*radii_of(known), weave=weave, **sizes)  # type: ignore[arg-type]
+
     def check(self) -> None:
         """InputError where the wire is too thick."""
         limit = self.weave.jamming_ratio
         if not self.r1 / self.r2 > limit:
             self.refuse(
-                f"r2 = {self.r2}: too thick for the {self.weave.name} weave, which jams at r1/r2 = {limit:.4f}; "
-                f"here r1/r2 = {self.r1 / self.r2:.4f}"
+                f"r2 = {self.r2:g}: too thick for the {self.weave.name} weave, which jams at r1/r2 = {limit:.4f} "
+                f"(AR {limit - 1.0:.3f}); here r1/r2 = {self.r1 / self.r2:.4f}"
             )
 
     @property

@@ -90,6 +90,18 @@ def cauchy_of(S: Array, E: Array) -> Array:
     return _triples(F @ _tensors(S) @ F.transpose(0, 2, 1) / np.linalg.det(F)[:, None, None])
 
 
+def load_directions(S: Array, E: Array) -> tuple[Array, Array]:
+    """Angles alpha in (-45, 45] and beta in [0, 90] degrees (n,) of the Cauchy loads of S (n, 3) at strains E (n, 3),
+    to 1e-6 degrees; alpha is 0 where beta is 45, as all are one load.
+
+    >>> load_directions(np.array([[0.0, 0.0, 3.0], [1.0, 1e-9, 1.0]]), np.zeros((2, 3)))
+    (array([0., 0.]), array([90., 45.]))
+    """
+    alpha, beta, _ = (np.round(one, 6) for one in load_angles(cauchy_of(S, E)))
+    turns = np.where(alpha > 45.0, -90.0, np.where(alpha <= -45.0, 90.0, 0.0))
+    return np.where(beta == 45.0, 0.0, alpha + turns) + 0.0, np.where(turns != 0.0, 90.0 - beta, beta)
+
+
 def lattice_strain(lattice: Array, sides: tuple[float, float]) -> tuple[Array, Array]:
     """Green-Lagrange strain (n, 3) of lattices x2, y3, t (n, 3), and its derivative (n, 3, 3).
 

@@ -7,6 +7,7 @@ radius per case limits steps where the curvature of merging contacts is unbounde
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
@@ -165,7 +166,7 @@ def update_path(state: PathState, off: Array, merit: Array, options: DirectOptio
 def iterate_to_end(state: PathState, equations: Equations, options: DirectOptions) -> tuple[list[PathState], PathState]:
     """Iterate until every case has converged or the iterations are used up: converged cases, and the others."""
     finished: list[PathState] = []
-    cases = len(state.row)
+    cases, begun = len(state.row), time.monotonic()
     for iteration in range(options.max_iterations + 1):
         R, off, merit = measure_merit(state)
         state = replace(state, R=R)
@@ -175,7 +176,7 @@ def iterate_to_end(state: PathState, equations: Equations, options: DirectOption
             state, off, merit = state.take(go), off[go], merit[go]
         if not len(state.row) or iteration == options.max_iterations:
             break
-        tell(f"{len(state.row)} of {cases} loads under way")
+        tell(f"{len(state.row)} of {cases} loads under way", cases - len(state.row), cases, begun)
         state = iterate(update_path(state, off, merit, options), equations, options)
     return finished, state
 

@@ -16,3 +16,4 @@ from .poses import NearestPoses as NearestPoses
 from .poses import PoseOptions as PoseOptions
 from .poses import locked_arrangements as locked_arrangements
 from .poses import nearest_poses as nearest_poses
+from .solids import write_solids as write_solids

@@ -23,7 +23,9 @@ LEAST = 3e-3
 """The scale of contact forces begins at this part of its top end."""
 MOST_FINE, MOST_TUBES, MOST_POINTS = 200, 1000, 300_000
 """Of a view these numbers of rings are fine tori, and coarse ones; more are lines with this many points together."""
-NO_FORCE = "#808890"
+NO_FORCE, METAL = "#808890", "#c9ced6"
+THROWN, DARK = np.array([0.3, -0.4]), 0.5
+"""Way of a shadow along and up the surface over the distance from it, and how dark it is at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,14 +80,6 @@ class DrawnRings:
         blocks = [("quad" if tubes else "line", cells.reshape(-1, cells.shape[2]).astype(np.int32))]
         write_mesh_file(path, meshio.Mesh(points.astype(real), blocks, cell_data=each))
 
-    def write_stl(self, path: Path, along: int = 48, around: int = 16) -> None:
-        """A binary STL of the tori, closed surfaces of triangles whose normals point outwards, by meshio."""
-        import meshio
-
-        points, quads = self.tubes(along, around)
-        triangles = quads[..., [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-        meshio.write(path, meshio.Mesh(points, [("triangle", triangles)]), file_format="stl", binary=True)
-
     def plot(self, ax: Axes | None = None, *, width: float = 0.7, series: Sequence[DrawnRings] = ()) -> Axes:
         """Centre lines of the rings seen along z, on `ax` or axes of their own; series: as of `draw`."""
         ax = new_axes(7.0, 6.0) if ax is None else ax
@@ -130,6 +124,52 @@ class DrawnRings:
             box = np.stack([places.min(axis=0) - self.r1, places.max(axis=0) + self.r1])
         space.look(plotter, space.THREE_QUARTERS, box=box)
         return plotter
+
+    def render(self) -> Plotter:
+        """The rings as polished metal that lie before a white surface with their soft shadow on it, seen obliquely; the
+        plotter."""
+        import pyvista
+        from scipy.ndimage import gaussian_filter
+
+        plotter = space.new_plotter()
+        points, quads = self.tubes(64, 20)
+        turn = space.sheet_axes(self.centre)
+        right, up, front = turn
+        plotter.add_mesh(
+            space.surface(points, quads.reshape(-1, 4)), color=METAL, pbr=True, metallic=1.0, roughness=0.28,
+            smooth_shading=True, reset_camera=False,
+        )  # fmt: skip
+        textured: Any = pyvista.Texture  # which has no types
+        plotter.set_environment_texture(textured(_studio()), is_srgb=True)
+        local = points @ turn.T
+        low, high = local.min(axis=0), local.max(axis=0)
+        back, room = low[2] - 0.1 * self.r1, 6.0 * self.r1
+        thrown = local[:, :2] + (local[:, 2:] - back) * THROWN
+        size = high[:2] - low[:2] + 2.0 * room
+        bins = np.maximum((size / (0.05 * self.r1)).astype(int), 8)
+        bins = np.minimum(bins, 2048)
+        ends = np.stack([low[:2] - room, high[:2] + room], axis=1)
+        counts = np.histogram2d(thrown[:, 0], thrown[:, 1], bins=bins.tolist(), range=ends)[0]
+        dark = gaussian_filter((counts > 0).astype(float), 0.2 * self.r1 * bins / size)
+        image = (255.0 * (1.0 - DARK * np.clip(dark, 0.0, 1.0))).astype(np.uint8).T[::-1]
+        middle = np.array([*(0.5 * (low + high))[:2], back]) @ turn
+        floor = pyvista.Plane(center=(0, 0, 0), direction=(0, 0, 1), i_size=size[0], j_size=size[1])
+        floor.points = floor.points @ turn + middle
+        plotter.add_mesh(
+            floor, texture=textured(np.repeat(image[..., None], 3, axis=2)), reset_camera=False, **space.FLAT
+        )
+        box = np.stack([points.min(axis=0), points.max(axis=0)])
+        space.look(plotter, 0.2 * right + 0.6 * up - front, up, box)
+        return plotter
+
+
+def _studio() -> NDArray[np.uint8]:
+    """What metal mirrors: two bright lamps above in a grey room with a dark floor, in longitude and latitude."""
+    height, around = np.mgrid[1.0:-1.0:128j, -np.pi : np.pi : 256j]
+    room = 0.35 + 0.35 * height
+    for at, wide in ((-0.9, 0.5), (1.3, 0.35)):
+        room += 0.9 * np.exp(-(((around - at) / wide) ** 2) - ((height - 0.45) / 0.25) ** 2)
+    return np.repeat((255.0 * np.clip(room, 0.03, 1.0)).astype(np.uint8)[..., None], 3, axis=2)
 
 
 def force_scale(rings: Sequence[DrawnRings]) -> Scale:

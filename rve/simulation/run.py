@@ -20,7 +20,6 @@ from rve.common import (
     checksum,
     csv_text,
     json_text,
-    number_column,
     read_columns,
     sidecar_path,
     tell,
@@ -101,14 +100,19 @@ class LoadHistory(ByValue):
         """Line loads (m, 3) in s_hat."""
         return self.size[:, None] * cauchy_line_load(self.alpha_deg, self.beta_deg)
 
+    def __str__(self) -> str:
+        return f"LoadHistory: {len(self.time_s)} loads in {self.time_s[-1]:g} s"
+
+    __repr__ = __str__
+
 
 def read_history(path: AnyPath) -> LoadHistory:
     """The columns time_s, alpha_deg, beta_deg, size of a CSV file; InputError for others."""
     names = tuple(item.name for item in fields(LoadHistory))
     columns = read_columns(path, names, names)
-    known, most = [True] * len(columns["size"]), {"time_s": 1e12, "size": 1e6}
+    known, most = [True] * len(columns.places), {"time_s": 1e12, "size": 1e6}
     try:
-        return LoadHistory(*(number_column(path, columns, name, most.get(name, 360.0), known) for name in names))
+        return LoadHistory(*(columns.numbers(name, most.get(name, 360.0), known) for name in names))
     except InputError as error:
         raise error if str(path) in str(error) else InputError(f"{path}: {error}") from None
 

@@ -5,6 +5,7 @@ Lengths are in r1, forces in s r1, and Young's modulus is 1: compliances are to 
 `with_rings` makes columns of a table of them, in mm and N.
 """
 
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -194,8 +195,9 @@ def ring_states(
     nan, tensor = np.full(len(s), np.nan), np.full((len(s), 3, 3), np.nan)
     states = RingStates(np.zeros(equilibrium.lam.shape), tensor, tensor, nan, nan, nan)
     ring = Ring(1.0, equations.wire, 1.0, poisson)
+    begun = time.monotonic()
     for start in range(0, len(good), _BLOCK):
-        tell(f"wires of the rings under load {start + 1} of {len(good)}")
+        tell(f"wires of the rings under load {start + 1} of {len(good)}", start, len(good), begun)
         rows = good[start : start + _BLOCK]
         states = states.put(
             rows, _Cells(equations, equilibrium.take(rows), s[rows], reference, ring).states(angles_deg)

@@ -44,7 +44,7 @@ def test_a_law_file_with_a_parameter_is_refused(tmp_path):
     LAW.save(path)
     record = json.loads(path.read_text())
     path.write_text(json.dumps(record | {"parameters": {"limit": 1.0}}))
-    with pytest.raises(InputError, match=r"parameters limit: unknown key; cloth has no parameters"):
+    with pytest.raises(InputError, match=r"parameters limit = 1.0: unknown key; known are none"):
         load_law(path)
 
 

@@ -48,7 +48,8 @@ def test_one_outlier_is_named(row, size):
     assert not found.holds
     assert found.blamed == (row,)
     assert f"without rows {row} " in found.sentence()
-    assert row in found.worst
+    assert row in found.pairs[0]
+    assert f"row {row} contradicts " in found.sentence()
 
 
 def test_the_slack_is_the_plain_double_loop(rows):

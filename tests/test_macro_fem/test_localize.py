@@ -450,6 +450,24 @@ def test_line_loads_are_averaged_by_area():
     np.testing.assert_allclose(curtain.S[:, 0], [(4 + 7 + 7) / 3, (7 + 8 + 7) / 3])
 
 
+@pytest.mark.slow
+def test_rings_of_a_window_as_metal_throw_a_soft_shadow(hung, tmp_path, monkeypatch):
+    """Grey metal, bright where it mirrors a lamp, before a white surface on which the shadow has every tone."""
+    from PIL import Image
+
+    ask = (tmp_path / "rings", "--no-picture", "--render", "--window", "0,0,30,30")
+    assert run(hung / "curtain.vtu", "--out", *ask).exit_code == 0
+    image = np.asarray(Image.open(tmp_path / "rings" / "render.png")).astype(int)
+    assert np.ptp(image, axis=2).max() < 40
+    tones = np.bincount(image.mean(axis=2).astype(int).ravel(), minlength=256) / image[..., 0].size
+    assert tones[:100].sum() > 0.02
+    assert tones[250:].sum() > 0.1
+    assert (tones[150:250] > 0.0).all()
+    monkeypatch.setattr("macro_fem.rings.field.MOST_RENDERED", 3)
+    refused = run(hung / "curtain.vtu", "--out", *ask)
+    assert (refused.exit_code, "give --window" in refused.output) == (2, True)
+
+
 def test_rings_of_a_curtain_that_is_not_solved_say_so(hung, tmp_path):
     (tmp_path / "summary.json").write_text(json.dumps(copied(hung, tmp_path) | {"status": "iterations"}))
     done = run(tmp_path, "--out", tmp_path / "rings", "--no-picture", "--window", "0,0,30,30")

@@ -102,7 +102,7 @@ def test_names_are_printed_as_they_are_typed(tmp_path):
 MOVE = "[motion]\nduration = 0.02\nstep = 0.01\n"
 DRAWN = {
     "run": ("", "macro_fem.output.pictures.panels", "curtain.png", ("summary.json", "curtain.vtu", "curtain.html")),
-    "run --report": ("", "macro_fem.report.plot_line_loads", "report.pdf", ("summary.json", "curtain.vtu")),
+    "run --report": ("", "macro_fem.output.plans.draw_hung", "report.pdf", ("summary.json", "curtain.vtu")),
     "run moving": (MOVE, "macro_fem.motion.solution.save_panels", "motion.png", ("motion.csv", "motion_0002.vtu")),
     "rings": ("", "macro_fem.rings.every_ring.new_axes", "rings.png", ("rings.vtu", "rings.html")),
     "modes": ("", "macro_fem.modes.save_picture", "modes.png", ("modes.json", "modes.vtu")),

@@ -355,7 +355,8 @@ def test_size_searches_for_the_limit(tmp_path):
     scene = tmp_path / "scene.toml"
     sheet_and_mesh = "[curtain]\nwidth = 200\nheight = 200\n[mesh]\ncells = 3\n"
     scene.write_text(sheet_and_mesh + '[support]\nkind = "top"\n[load.bar]\nmass = 20\n')
-    words = ["size", str(scene), *"--json --vary mass --from 1 --to 200 --factor 2 --jobs 1".split()]
+    asked = {"--vary": "mass", "--from": "1", "--to": "200", "--factor": "2", "--jobs": "1"}
+    words = ["size", str(scene), "--json", *(one for pair in asked.items() for one in pair)]
     first, limit = (json.loads(CliRunner().invoke(main, [*words, *more]).stdout) for more in ([], ["--limit"]))
     assert limit["value"] * 9.81 * 2.0 == pytest.approx(200.0 * capacity(), rel=0.02)
     assert first["value"] < limit["value"]

@@ -8,12 +8,24 @@ import sys
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
-from macro_fem.output.images import save_picture
+from macro_fem.output.images import compose, save_picture
 from macro_fem.output.page import write_page
 from rve import InputError
 from rve.common.drawing.plane import Scale
-from rve.common.drawing.space import FRONT, THREE_QUARTERS, add, arrows, lines, look, new_plotter
+from rve.common.drawing.space import (
+    FRONT,
+    PANEL,
+    THREE_QUARTERS,
+    add,
+    arrows,
+    lines,
+    look,
+    new_plotter,
+    sheet_axes,
+    surface,
+)
 
 HEIGHT = Scale("height, mm", 0.0, 30.0, 40.0)
 
@@ -27,7 +39,7 @@ def wave(panels=2, flat=1.0):
     sheet.points[:, 1] = flat * 20.0 * np.sin(sheet.points[:, 0] / 15.0)
     sheet[HEIGHT.label] = sheet.points[:, 1] + 20.0
     rails = np.array([[[0.0, 30.0, z], [100.0, 30.0, z]] for z in (0.0, 80.0)])
-    for panel, direction in zip(range(panels), (FRONT, THREE_QUARTERS), strict=False):
+    for panel, direction in zip(range(panels), (FRONT, THREE_QUARTERS) * panels, strict=False):
         plotter.subplot(0, panel)
         add(plotter, "sheet", sheet, HEIGHT)
         add(plotter, "force", arrows(np.array([[50.0, 20.0, 40.0]]), np.array([[0.0, 40.0, 0.0]])), "#d7263d")
@@ -45,6 +57,43 @@ def test_a_picture_is_made_and_is_not_empty(tmp_path):
     for panel in np.array_split(image[:700], 2, axis=1):
         assert (panel.min(axis=-1) > 252).mean() > 0.2
         assert (np.ptp(panel, axis=-1) > 60).mean() > 0.02
+
+
+@pytest.mark.parametrize("in_front", [True, False])
+def test_forces_are_seen_through_the_sheet(in_front):
+    plotter = new_plotter()
+    sheet = surface(np.array([[0.0, 0, 0], [100, 0, 0], [100, 100, 0], [0, 100, 0]]), np.array([[0, 1, 2, 3]]))
+    add(plotter, "sheet", sheet, "#2277cc")
+    add(
+        plotter,
+        "wind",
+        arrows(np.array([[50.0, 20.0, -40.0]]), np.array([[0.0, 60.0, 0.0]])),
+        "#d7263d",
+        in_front=in_front,
+    )
+    look(plotter, FRONT)
+    plotter.render()
+    red = np.asarray(plotter.screenshot(return_img=True)).astype(int) @ [1, -1, -1] > 60
+    assert (red.sum() > 1000) == in_front
+
+
+def test_panels_stand_in_rows_with_their_captions_legible_on_a_page():
+    captions = [f"{k} Hz" for k in range(1, 7)]
+    figure = compose(wave(6), "six shapes", captions)
+    images = [ax for ax in figure.axes if ax.images]
+    figure.canvas.draw()
+    assert [ax.get_title() for ax in images] == captions
+    assert len({round(ax.get_position().y0, 3) for ax in images}) == 2
+    assert figure.get_figwidth() * 25.4 == pytest.approx(160.0, abs=0.1)
+    shown = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
+    assert min(text.get_fontsize() for text in shown) >= 8.0
+    assert images[0].images[0].get_array().shape[1] < 0.97 * PANEL[0]  # what is white around all is cut off
+
+
+def test_a_mesh_is_looked_at_from_its_front():
+    points = np.array([[0.0, y, z] for y in (0.0, 1.0, 2.0) for z in (0.0, 3.0)])
+    right, up, front = sheet_axes(points)
+    np.testing.assert_allclose([right, up, front], [[0, 0, -1], [0, 1, 0], [1, 0, 0]], atol=1e-12)
 
 
 def test_a_missing_library_of_opengl_is_told_in_one_sentence():

@@ -23,7 +23,7 @@ def test_one_command_writes_every_table_and_picture(tmp_path):
     names = {path.name for path in (tmp_path / "new").iterdir()}
     expected = {"cases.csv", "comparison.md", "study.json", "history_0_0.csv", "history_45_90.csv", *PICTURES}
     assert names == expected
-    assert [work for work in told if work.startswith("drawing")] == [f"drawing {name}" for name in PICTURES]
+    assert [one.work for one in told if one.work.startswith("drawing")] == [f"drawing {name}" for name in PICTURES]
     with (tmp_path / "new" / "cases.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [int(row["case"]) for row in rows] == [1, 2, 3, 4, 5]

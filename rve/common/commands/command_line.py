@@ -28,6 +28,7 @@ import click
 from rve.common.errors import InputError, NotConverged, NotDrawn, cut, require
 from rve.common.errors import shown as quoted
 from rve.common.files import check_out_file, json_text
+from rve.common.plugins import load_plugin
 from rve.common.progress import shown, tell
 from rve.common.texts import numbers_of
 from rve.common.typed import alone, did_you_mean
@@ -53,6 +54,8 @@ class Command(click.Command):
     def __init__(self, name: str | None, *, period_s: float | None = None, **kwargs: Any) -> None:
         self.period_s = period_s
         common = [click.Option([f"--{key}"], is_flag=True, help=text) for key, text in _COMMON.items()]
+        plugin = "Python file with own laws, supports, loads or materials; may be given several times."
+        common.append(click.Option(["--plugin"], multiple=True, type=click.Path(), metavar="FILE.py", help=plugin))
         super().__init__(name, params=[*(kwargs.pop("params", None) or []), *common], **kwargs)
 
     def make_context(self, *args: Any, **kwargs: Any) -> click.Context:
@@ -65,8 +68,10 @@ class Command(click.Command):
         core is busy (a curtain took 80 to 190 s, not 20); whatever it raises becomes a sentence and an exit code.
         """
         os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is imported
-        ctx.meta.update({key: ctx.params.pop(key) for key in _COMMON})
+        ctx.meta.update({key: ctx.params.pop(key) for key in (*_COMMON, "plugin")})
         try:
+            for path in ctx.meta["plugin"]:
+                load_plugin(path)
             with _stops_raised(), nullcontext() if _asked("quiet") else shown(self.period_s):
                 return super().invoke(ctx)
         except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
@@ -186,7 +191,9 @@ def say(*lines: str, err: bool = False) -> None:
 
 def say_next(package: str, *words: object, why: str = "") -> None:
     """The last sentence of a command: one that can be typed next, and what for."""
-    command = shlex.join(["python", "-m", package, *map(str, words)])
+    context = click.get_current_context(silent=True)
+    plugins = () if context is None else context.meta.get("plugin", ())
+    command = shlex.join(["python", "-m", package, *map(str, words), *(f"--plugin={path}" for path in plugins)])
     say(f"next: {command}{f'  # {why}' if why else ''}")
 
 

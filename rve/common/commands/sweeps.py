@@ -9,6 +9,7 @@ import io
 import os
 import signal
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
@@ -23,7 +24,8 @@ import click
 
 from rve.common.commands.command_line import answer, ending, options, say
 from rve.common.errors import InputError, noted_if_stopped, require
-from rve.common.files import Cache, checksum, versions, write_text
+from rve.common.files import PLUGINS, Cache, checksum, versions, write_text
+from rve.common.plugins import load_plugin
 from rve.common.progress import tell
 from rve.common.texts import csv_text, read_json_object, recorded_reads
 
@@ -39,13 +41,14 @@ LOST = "its worker was lost, perhaps for lack of memory: the same sweep, with fe
 @dataclass(frozen=True)
 class SweepItem:
     """`python -m package arguments`, which writes the JSON `record`; paths are absolute. marks: where it is marked as
-    finished."""
+    finished; labels: columns of its row beside its name."""
 
     name: str
     package: str
     arguments: tuple[str, ...]
     record: Path
     marks: Path | None = None
+    labels: tuple[tuple[str, str], ...] = ()
 
     @property
     def question(self) -> dict[str, Any]:
@@ -103,6 +106,7 @@ def sweep(
         if found and all(Path(name).exists() and checksum(name) == one for name, one in found["files"].items()):
             ended[item.name] = Ended(found["code"], "")
     left = [item for item in items if item.name not in ended]
+    begun = time.monotonic()
     tell(f"sweep, {len(ended)} of {len(items)} done")
     kept = f"what is finished is kept in {out}, and the same command goes on from there"
     pool = side_by_side(min(jobs, len(left) or 1)) if cluster is None else _cluster(cluster)
@@ -119,7 +123,8 @@ def sweep(
                 how = Ended(1, f"{item.record} is not there; workers must see its folder under the same name")
             ended[item.name] = how
             on_end(ended)
-            tell(f"sweep, {len(ended)} of {len(items)} done")
+            count = len(ended) + len(left) - len(items)  # of this run
+            tell(f"sweep, {len(ended)} of {len(items)} done", count, len(left), begun)
     return [ended[item.name] for item in items]
 
 
@@ -140,7 +145,9 @@ def _cluster(address: str) -> Iterator[Executor]:
 @contextmanager
 def side_by_side(jobs: int) -> Iterator[Executor]:
     """Worker processes that end with the block, at once where it is left early, and when this process ends."""
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_end_with_parent)
+    pool = ProcessPoolExecutor(
+        jobs, mp_context=get_context("spawn"), initializer=_begin_worker, initargs=(list(PLUGINS),)
+    )
     with pool, ExitStack() as early:
         early.callback(_end_children)
         yield pool
@@ -153,8 +160,10 @@ def _end_children() -> None:
         child.terminate()
 
 
-def _end_with_parent() -> None:
-    """Let this worker end at once when its parent does, which alone handles Ctrl-C."""
+def _begin_worker(plugins: Sequence[str]) -> None:
+    """Let this worker know the plugins of its parent, and end at once when that does, which alone handles Ctrl-C."""
+    for path in plugins:
+        load_plugin(path)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
 
@@ -187,27 +196,31 @@ sweep_options = options(
 
 
 def run_sweep(
-    items: Sequence[SweepItem], out: Path, columns: Callable[[Any], dict[str, Any]], jobs: int, cluster: str | None
-) -> list[dict[str, Any]]:
-    """Runs a sweep, writes sweep.csv, says how it ended and returns its rows; exit code 1 if an item failed.
+    items: Sequence[SweepItem], out: Path, columns: Callable[[Any], dict[str, Any]], jobs: int, cluster: str | None,
+    *, table: str = "sweep.csv", then: Callable[[list[dict[str, Any]]], Any] = lambda rows: None,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Runs a sweep, writes its table, says how it ended and returns its rows; exit code 1 if an item failed.
 
-    A row holds name, exit_code, what `columns` takes from the record, and message. Options that the command of an item
-    has not are refused before the first one runs.
+    A row holds name, labels, exit_code, what `columns` takes from the record, and message. Options that the command of
+    an item has not are refused before the first one runs. then: is called with the rows, of which some may have failed.
     """
     if cluster is not None and jobs > 1:
         raise InputError("--jobs and --cluster are two ways to run a sweep: give one")
+    plugins = [f"--plugin={path}" for path in PLUGINS]
+    items = [replace(item, arguments=(*item.arguments, *plugins)) for item in items]
     for item in items:
         command = import_module(f"{item.package}.cli").main.commands[item.arguments[0]]
         command.make_context(f"{item.package} {item.arguments[0]}", list(item.arguments[1:]))
 
     def rows_of(ended: dict[str, Ended]) -> list[dict[str, Any]]:
-        """The rows of items that have ended, of which sweep.csv is written."""
+        """The rows of items that have ended, of which the table is written."""
         rows = []
         for item, how in ((item, ended[item.name]) for item in items if item.name in ended):
             record = {} if how.message else read_json_object(item.record)
-            rows.append({"name": item.name, "exit_code": how.code, **columns(record), "message": how.message})
+            numbers = {"exit_code": how.code, **columns(record), "message": how.message}
+            rows.append({"name": item.name, **dict(item.labels), **numbers})
         names = list(dict.fromkeys(key for row in rows for key in row))
-        write_text(out / "sweep.csv", csv_text(names, ([row.get(key, "") for key in names] for row in rows)))
+        write_text(out / table, csv_text(names, ([row.get(key, "") for key in names] for row in rows)))
         return rows
 
     every = sweep(items, out, jobs=jobs, cluster=cluster, on_end=rows_of)
@@ -219,8 +232,9 @@ def run_sweep(
             f"{row['name']}: {row['message'] or _WITHOUT.get(row['exit_code'], 'not converged, see its record')}",
             err=True,
         )
-    say(f"{len(rows) - len(failed)} of {len(rows)} done; written to {out / 'sweep.csv'}")
+    say(f"{len(rows) - len(failed)} of {len(rows)} done; written to {out / table}")
     answer({"out": str(out), "done": len(rows) - len(failed), "items": rows})
+    then(rows)
     if failed:
         raise click.exceptions.Exit(1)
     return rows

@@ -114,14 +114,16 @@ class Scale:
 
         return (LogNorm if self.spread == "log" else Normalize)(self.low, self.top)
 
-    def add_bar(self, ax: Axes, **style: Any) -> None:
-        """A bar of the colours beside `ax`."""
+    def add_bar(self, *axes: Axes, **style: Any) -> None:
+        """A bar of the colours beside the axes."""
         from matplotlib.cm import ScalarMappable
 
         extend = ("neither", "min", "max", "both")[(self.spread == "log") + 2 * self.is_exceeded]
-        assert ax.figure is not None
-        bar = ax.figure.colorbar(ScalarMappable(self.norm(), self.colour_map()), ax=ax, extend=extend, **style)
-        bar.set_label(self.title.replace("; ", "\n"))  # in one line it is longer than the bar
+        figure = axes[0].figure
+        assert figure is not None
+        bar = figure.colorbar(ScalarMappable(self.norm(), self.colour_map()), ax=axes, extend=extend, **style)
+        bar.ax.tick_params(labelsize=8)
+        bar.set_label(self.title.replace("; ", "\n"), fontsize=9)  # in one line it is longer than the bar
 
 
 def round_top(bulk: float, largest: float) -> float:

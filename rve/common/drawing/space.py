@@ -12,20 +12,26 @@ from typing import Any
 
 import numpy as np
 
-from rve.common.drawing.plane import OVER, Scale, rounded_up
+from rve.common.drawing.plane import OVER, Scale
 from rve.common.errors import InputError, require
 from rve.common.optional import Plotter, PolyData
 from rve.common.records import Array
 
 PANEL = (1400, 1240)
 """Pixels of a panel before matplotlib makes it smaller, which smooths edges."""
+WIDEST = 8400
+"""Pixels of all panels side by side at most, which what draws without a screen can hold."""
 FRONT, THREE_QUARTERS = (0.0, -0.12, -1.0), (-0.75, -0.45, -1.0)
 MARGIN = 1.04
-UNLISTED = ("_shadow", "_ground")
+UNLISTED = ("_shadow", "_ground", "_ruler", "_length")
+"""Parts without a line in the legend."""
+IN_FRONT = -40000.0
+"""Shift of the depth of what is seen through all else, in the unit of VTK: half of the whole range and more."""
 BODY, BODY_OPACITY = "#c9b18f", 0.75
 """Colour of bodies that a mesh meets, and how much they hide."""
 MEASURE = "#8d96a1"
 """Colour of what stands or lies beside for the scale."""
+INK = "#2b2f36"
 MATT: dict[str, Any] = {"ambient": 0.4, "diffuse": 0.7, "specular": 0.1, "smooth_shading": True}
 FLAT: dict[str, Any] = {"lighting": False, "ambient": 0.0, "diffuse": 1.0, "specular": 0.0}
 
@@ -36,7 +42,8 @@ def new_plotter(panels: int = 1) -> Plotter:
     import pyvista
 
     pyvista.vtk_verbosity("off")  # else VTK says on standard error that there is no screen
-    size, shape = [panels * PANEL[0], PANEL[1]], (1, panels)
+    less = min(1.0, WIDEST / (panels * PANEL[0]))
+    size, shape = [panels * int(less * PANEL[0]), int(less * PANEL[1])], (1, panels)
     plotter = pyvista.Plotter(off_screen=True, shape=shape, border=False, window_size=size, lighting="light kit")
     plotter.set_background("white")  # type: ignore[arg-type]
     return plotter
@@ -59,7 +66,7 @@ def check_render(purpose: str, instead: str = "ask for --no-picture") -> None:
 
 def add(plotter: Plotter, name: str, mesh: PolyData, colour: str | Scale, **style: Any) -> None:
     """Add a mesh in one colour, or coloured by its array `colour.label`; nothing if the mesh is empty. Of meshes of one
-    name the second is NAME 2, and so on."""
+    name the second is NAME 2, and so on. style: of pyvista, and `in_front` for what is seen through all else."""
     import pyvista
 
     if not mesh.n_points:
@@ -68,8 +75,12 @@ def add(plotter: Plotter, name: str, mesh: PolyData, colour: str | Scale, **styl
     name = next(one for one in each if one not in plotter.actors)
     style = MATT | {"name": name, "reset_camera": False, "render": False} | style
     style |= {"render_lines_as_tubes": True, "smooth_shading": False} if mesh.n_lines else {}
+    is_in_front = style.pop("in_front", False)
     if isinstance(colour, str):
-        plotter.add_mesh(mesh, color=colour, **style)
+        actor = plotter.add_mesh(mesh, color=colour, **style)
+        if is_in_front:
+            actor.mapper.SetResolveCoincidentTopologyToPolygonOffset()
+            actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, IN_FRONT)
         return
     style |= {"above_color": OVER} if colour.is_exceeded else {}
     style |= {"scalars": colour.label, "clim": (colour.low, colour.top), "log_scale": colour.spread == "log"}
@@ -116,17 +127,34 @@ def arrows(tails: Array, vectors: Array, least: float = 0.0) -> PolyData:
     return ends.glyph(geom=shape, orient="along", scale="length")
 
 
-def below(points: Array) -> Array:
-    """A place a little below points (n, 3), at their left and in front of them, so that they do not hide it."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    return np.array([low[0], low[1] - 0.06 * np.linalg.norm(high - low), high[2]])
+def sheet_axes(points: Array) -> Array:
+    """Unit vectors (3, 3) to the right in, up in, and to the front of the plane that lies nearest to points (n, 3)."""
+    away = points - points.mean(axis=0)
+    front = np.linalg.svd(away, full_matrices=False)[2][-1] if len(points) > 2 else np.array([0.0, 0.0, 1.0])
+    front *= np.sign(front[np.abs(front).argmax()])
+    right = np.cross([0.0, 1.0, 0.0] if abs(front[1]) < 0.9 else [0.0, 0.0, -1.0], front)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(front, right), front])
 
 
-def add_length(plotter: Plotter, start: Array, size: float) -> None:
-    """Add a line of a round length along x from `start` (3,), beside what has this size in mm."""
-    length = rounded_up(0.12 * size)
-    ends = start + np.array([[0.0, 0.0, 0.0], [length, 0.0, 0.0]])
-    add(plotter, f"length of {length:g} mm", lines(ends[None]), MEASURE, line_width=9)
+def add_length(plotter: Plotter, points: Array, size: float, axes: Array | None = None) -> None:
+    """Add a ruler of a round length, in five parts, along the first of the `axes` (3, 3), by default x, and a little
+    below `points` (n, 3), which it does not hide, beside what has this size in mm."""
+    import pyvista
+
+    axes = np.eye(3) if axes is None else axes
+    local = points @ axes.T
+    low, high = local.min(axis=0), local.max(axis=0)
+    start = np.array([low[0], low[1] - 0.06 * np.linalg.norm(high - low), high[2]])
+    unit = 10.0 ** np.floor(np.log10(0.3 * size))
+    length = max(part * unit for part in (1.0, 2.0, 5.0) if part * unit <= 0.3 * size)
+    ends = start + np.linspace(0.0, length, 6)[:, None] * [1.0, 0.0, 0.0]
+    pieces = np.stack([ends[:-1], ends[1:]], axis=1) @ axes
+    add(plotter, f"ruler, {length:g} mm in parts of {length / 5:g} mm", lines(pieces[::2]), INK, line_width=9)
+    add(plotter, "_ruler", lines(pieces[1::2]), MEASURE, line_width=9)
+    text = pyvista.Text3D(f"{length:g} mm", depth=1e-3 * size, height=0.025 * size, center=(0.0, 0.0, 0.0))
+    text.points = (text.points + start + [0.5 * length, 0.025 * size, 0.0]) @ axes
+    add(plotter, "_length", text, INK, in_front=True, **FLAT)
 
 
 def look(plotter: Plotter, direction: Any, up: Any = (0.0, 1.0, 0.0), box: Array | None = None) -> None:
@@ -146,3 +174,5 @@ def look(plotter: Plotter, direction: Any, up: Any = (0.0, 1.0, 0.0), box: Array
     camera.parallel_scale = MARGIN * max(half[1], half[0] * PANEL[1] / PANEL[0], 1e-9)
     plotter.renderer.camera_set = True
     plotter.renderer.reset_camera_clipping_range()
+    near, far = camera.clipping_range
+    camera.clipping_range = (near - 2.0 * (far - near), far)  # room for what is in front

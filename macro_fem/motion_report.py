@@ -1,0 +1,111 @@
+"""Reports of scenes in motion and of natural frequencies, as `macro_fem.report` is of a curtain at rest."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+
+from macro_fem.motion_summary import ModesSummary, MotionSummary
+from macro_fem.output import plans
+from macro_fem.output.images import Draw
+from macro_fem.output.pages import HIGH, PAGE, Chapter, Headline, PageTable, Picture, write_pages
+from macro_fem.output.told import loads_in_words, motion_verdict
+from macro_fem.report import LIMITS, NOISE, components_of, places_of
+from macro_fem.scene.scene import Scene
+from macro_fem.scene.tables import in_3d
+from macro_fem.summary import RingSupport, SupportForce
+from rve.common import digits
+from rve.common.optional import Axes, Figure
+
+
+def write_motion_report(
+    path: str | Path, scene: Scene, summary: MotionSummary, plot: Callable[[Axes], Axes],
+    moments: Sequence[tuple[str, Draw]], inputs: Iterable[Path | None] = (),
+) -> None:  # fmt: skip
+    """Write the report of a scene in motion: verdict, force over time, moments, forces of supports at the weakest one,
+    peaks, energies, limits. `plot` draws the forces; `moments`: their names, and how to draw them."""
+    names, draws = zip(*moments, strict=True)
+    curve = Picture(lambda width: plans.draw_axes(width, 0.6 * HIGH, plot), PAGE, "Force of all supports over time.")
+    shown = Picture(lambda width: plans.draw_views(draws, width), PAGE, f"At {'; '.join(names)}.")
+    told = motion_verdict(summary)
+    lines = [
+        f"{told[:1].upper()}{told[1:]}",
+        f"First to give: {summary.weakest}{f', {summary.weakest_place}' if summary.weakest_place else ''}.",
+        f"Largest force of all supports together: {digits(summary.peak_support_force_N, 4)} N, "
+        f"at {digits(summary.peak_support_force_at_s, 4)} s.",
+    ]
+    lines = [line for line in lines if summary.weakest or not line.startswith("First")]
+    if summary.status != "converged":
+        lines = [f"{summary.status[:1].upper()}{summary.status[1:]}: {summary.message}", *lines]
+    rows = [[_named(name), digits(value, 4), unit] for name, value, unit in _numbers(summary)]
+    limits = [*LIMITS, f"Forces: {summary.forces}.", summary.verdict_note, *summary.notes]
+    sections = [
+        Chapter("Forces of supports at the weakest moment", tables=_at_moment(summary)),
+        Chapter("Peaks, factors and energies", tables=[PageTable("", ("what", "value", "unit"), rows)]),
+        Chapter("Loads", [loads_in_words(scene)]),
+        Chapter("Assumptions and limits", [f"{one[:1].upper()}{one[1:]}" for one in limits if one]),
+    ]
+    holds = summary.holds if summary.status == "converged" else False
+    write_pages(path, scene, Headline(lines, holds), [[curve], [shown]], sections, summary.versions, inputs)
+
+
+def _numbers(summary: MotionSummary) -> Iterator[tuple[str, float, str]]:
+    """Names, values and units of the plain numbers of a summary."""
+    for key, value in summary.items():
+        if isinstance(value, int | float) and not isinstance(value, bool) and key != "wall_s":
+            unit = next((one for one in UNITS if key.endswith(f"_{one}")), "")
+            yield key.removesuffix(f"_{unit}"), float(value), UNITS.get(unit, "")
+
+
+UNITS = {
+    "N_per_mm": "N/mm",
+    "N_mm": "N mm",
+    "N_s": "N s",
+    "N_per_mm2": "N/mm2",
+    "N": "N",
+    "mm": "mm",
+    "s": "s",
+    "Hz": "Hz",
+}
+"""Units by the ends of keys, longer ones first."""
+
+
+def _named(key: str) -> str:
+    return key.removesuffix("_at").replace("_", " ") + (" at" if key.endswith("_at") else "")
+
+
+def _at_moment(summary: MotionSummary) -> list[PageTable]:
+    """Forces of supports at the weakest moment, as far as they are known."""
+    rows, sums = [], []
+    supports: tuple[SupportForce | RingSupport, ...] = summary.support_forces
+    least = NOISE * max((abs(part) for one in supports for part in one.force_N or ()), default=0.0)
+    for number, one in enumerate(supports, 1):
+        of = f" of support {number}" if len(supports) > 1 else ""
+        for k, point in enumerate(one.points, 1):
+            force = in_3d(tuple(point.force_N)) if point.force_N else ()
+            rows.append([f"{point.point or f'point {k}'}{of}", *places_of(point), *components_of(force, least, 3)])
+        sums.append(
+            [
+                f"sum of {one.support}{of}",
+                *5 * [""],
+                *components_of(in_3d(tuple(one.force_N)) if one.force_N else (), least, 3),
+            ]
+        )
+    groups = [("", 1), ("in sheet, mm", 2), ("at that moment, mm", 3), ("force, N", 4)]
+    return [PageTable("", ("point", "x", "y", "x", "y", "z", "size", "x", "y", "z"), [*rows, *sums], groups)]
+
+
+def write_modes_report(
+    path: str | Path, scene: Scene, summary: ModesSummary, draw: Callable[[float], Figure],
+    inputs: Iterable[Path | None] = (),
+) -> None:  # fmt: skip
+    """Write the report of natural frequencies: the lowest one, shapes, all of them, what is left out, limits."""
+    hertz = [digits(one, 4) for one in summary.frequencies_Hz]
+    lines = [f"Lowest natural frequency: {hertz[0]} Hz", f"Under {summary.loads}."]
+    rows = [
+        [f"{k}", one, f"{count}"] for k, (one, count) in enumerate(zip(hertz, summary.multiplicity, strict=True), 1)
+    ]
+    shapes = Picture(draw, PAGE, "Shapes of the lowest modes, each at a size that can be seen.")
+    table = PageTable("", ("no.", "frequency, Hz", "modes of this frequency"), rows)
+    limits = [*LIMITS[:2], f"Left out: {summary.left_out}", f"Line loads: {summary.forces_by}", *summary.notes]
+    words = Chapter("Assumptions and limits", [one for one in limits if one])
+    every = [Chapter("Natural frequencies", tables=[table]), words]
+    write_pages(path, scene, Headline(lines, None), [[shapes]], every, summary.versions, inputs)

@@ -1,0 +1,67 @@
+"""Plugins: laws, supports, loads and materials of others, in a Python file or an installed package.
+
+A class that names its `kind` makes itself known when its module is imported. `--plugin FILE.py` imports a file, in each
+process that a command starts as well. The entry points of the group `ring_mesh.plugins` are imported where kinds are
+looked up.
+"""
+
+import sys
+from functools import cache
+from hashlib import sha256
+from importlib.metadata import entry_points
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import Any
+
+from rve.common.errors import InputError
+from rve.common.files import PLUGINS, AnyPath
+from rve.common.texts import MOST_TOML_BYTES, read_bytes
+
+GROUP = "ring_mesh.plugins"
+PACKAGES = ("rve", "homogenize", "macro_fem")
+
+
+def load_plugin(path: AnyPath) -> None:
+    """Import a Python file, once unless it changes; InputError says what it raised."""
+    place = Path(path).resolve()
+    content = sha256(read_bytes(place, MOST_TOML_BYTES)).hexdigest()
+    if PLUGINS.get(str(place)) == content:
+        return
+    name = f"{place.stem}_{sha256(str(place).encode()).hexdigest()[:8]}"  # the same in every process, for pickles
+    spec = spec_from_file_location(name, place)
+    if spec is None or spec.loader is None:
+        raise InputError(f"--plugin = {path}: is no Python file, .py")
+    sys.modules[name] = module_from_spec(spec)
+    try:
+        spec.loader.exec_module(sys.modules[name])
+    except Exception as error:  # whatever the code of others raises
+        del sys.modules[name]
+        raise InputError(f"--plugin = {path}: {type(error).__name__}: {error}") from error
+    PLUGINS[str(place)] = content
+
+
+@cache
+def load_installed() -> None:
+    """Import the plugins of installed packages; InputError names one that cannot be."""
+    for entry in entry_points(group=GROUP):
+        try:
+            entry.load()
+        except Exception as error:  # whatever the code of others raises
+            raise InputError(f"plugin {entry.name} = {entry.value}: {type(error).__name__}: {error}") from error
+
+
+def register(kinds: dict[str, Any], kind: str, cls: type) -> None:
+    """Make a class known by the word of files for it; InputError if that is another one's."""
+    other = kinds.get(kind, cls)
+    if (other.__module__, other.__qualname__) != (cls.__module__, cls.__qualname__):
+        raise InputError(f"kind = {kind!r} of {cls.__name__}: is that of {other.__name__}; choose another word")
+    kinds[kind] = cls
+
+
+def plugin_of(cls: type) -> str | None:
+    """The file or package that defines a class; None for one of this project."""
+    top = cls.__module__.partition(".")[0]
+    file = vars(sys.modules[cls.__module__]).get("__file__")
+    if top in PACKAGES:
+        return None
+    return Path(file).name if file and (top == "__main__" or str(Path(file).resolve()) in PLUGINS) else top

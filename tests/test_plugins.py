@@ -1,0 +1,188 @@
+"""Own laws, supports, loads and materials: the examples by the command line, against closed forms."""
+
+import json
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import homogenize
+import macro_fem
+import rve
+from homogenize.laws import highest, outer_vertices
+from rve.common.plugins import load_installed, load_plugin
+from tests.commands import run
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+SCENE = """
+[curtain]
+width = 600.0
+height = 400.0
+areal_mass = 0.9
+[mesh]
+cells = 6
+[support]
+kind = "rope"
+sag = 40.0
+gather = 0.9
+"""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def examples() -> None:
+    """All examples of plugins are loaded."""
+    for path in EXAMPLES.glob("own_*.py"):
+        load_plugin(path)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A scene on a rope, and a law file written by hand."""
+    (tmp_path / "scene.toml").write_text(SCENE)
+    law = {"kind": "woven", "parameters": {"warp": 1.02, "weft": 1.08}, "plugin": "own_law.py"}
+    (tmp_path / "law.json").write_text(json.dumps(law))
+    return tmp_path
+
+
+def woven(**parameters: float) -> homogenize.Law:
+    return homogenize.Law.kinds["woven"](**parameters)
+
+
+def test_an_own_law_has_the_support_of_its_half_spaces() -> None:
+    """And the file tells its parameters, its mass and its plugin."""
+    law = woven(warp=1.02, weft=1.08, areal_mass_kg_per_m2=0.9)
+    S = np.array([[1.0, 0.0, 0.0], [0.5, 0.3, 0.5], [0.2, -0.4, 0.8]])
+    start = law.half_spaces()
+    assert law.support(S) == pytest.approx(highest(S, outer_vertices(start.S, start.h)), abs=1e-4)
+    cut = law.cut(np.array([[0.05, 0.3, 0.0], [0.0, 0.0, 0.1]]))
+    assert cut.S.tolist() == [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    assert cut.violation == pytest.approx([0.05 - 0.0202, 0.1 - 0.0832], abs=1e-12)
+    assert pytest.approx(np.array([[5.0, 0.0, 0.0]]), abs=1e-9) == law.response(np.array([[0.0302, 0.0, 0.0]])).S
+
+
+def test_an_own_law_goes_through_its_file(tmp_path: Path) -> None:
+    woven(warp=1.02, weft=1.08, areal_mass_kg_per_m2=0.9).save(tmp_path / "law.json")
+    record = json.loads((tmp_path / "law.json").read_text())
+    assert (record["kind"], record["plugin"]) == ("woven", "own_law.py")
+    assert record["parameters"] == {"warp": 1.02, "weft": 1.08, "stiffness": 500.0}
+    again = homogenize.load_law(tmp_path / "law.json")
+    assert (type(again).__name__, again.areal_mass_kg_per_m2) == ("WovenLaw", 0.9)
+    for change, sentence in (
+        ({"parameters": {"warp": 1.02}}, "parameters weft: is missing"),
+        ({"parameters": {"warp": 1.02, "weft": 1.0, "slack": 1}}, "parameters slack = 1: unknown key"),
+        ({"kind": "knitted"}, "is of the plugin own_law.py, which is not loaded; give --plugin own_law.py"),
+    ):
+        (tmp_path / "bad.json").write_text(json.dumps(record | change))
+        with pytest.raises(rve.InputError, match=sentence):
+            homogenize.load_law(tmp_path / "bad.json")
+
+
+def test_a_curtain_of_an_own_law_on_an_own_support(folder: Path) -> None:
+    """Its top edge lies on the parabola, and its supports bear its weight."""
+    out = folder / "out"
+    words = ["--law", folder / "law.json", "--plugin", EXAMPLES / "own_law.py", "--out", out, "--no-picture"]
+    run("macro_fem", "run", folder / "scene.toml", "--plugin", EXAMPLES / "own_support.py", *words)
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["law"] == "woven"
+    assert {"plugin own_law.py", "plugin own_support.py"} <= summary["versions"].keys()
+    (rope,) = summary["support_forces"]
+    assert rope["force_N"][1] == pytest.approx(0.9 * 0.24 * 9.81, rel=1e-6)
+    place = np.array([point["place_mm"] for point in rope["points"]])
+    assert place[:, 1] == pytest.approx(400.0 - 160.0 * (x := (place[:, 0] - 30.0) / 540.0) * (1.0 - x), abs=1e-6)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_workers_of_a_sweep_load_plugins(folder: Path, jobs: int) -> None:
+    (folder / "other.toml").write_text(SCENE.replace("40.0", "20.0"))
+    words = ["--law", folder / "law.json", "--no-picture", "--out", folder / "all", "--jobs", jobs]
+    words += [f"--plugin={EXAMPLES / name}" for name in ("own_law.py", "own_support.py")]
+    done = run("macro_fem", "sweep", folder / "scene.toml", folder / "other.toml", *words)
+    assert "2 of 2 done" in done.output
+
+
+def test_an_own_load_is_integrated_and_scaled(folder: Path) -> None:
+    """p at the hem that fades to 0 at half the height: p b h / 4, times the factor of a combination."""
+    data: dict[str, Any] = {
+        "curtain": {"width": 600.0, "height": 400.0},
+        "mesh": {"cells": 6},
+        "support": {"kind": "top"},
+    }
+    data["load"] = {"gravity": 0.0, "dirt": {"pressure": 40.0, "height": 200.0}}
+    data |= {"combination": [{"name": "wet", "dirt": 1.5}], "material": {"material": "wire of my mill"}}
+    answer = macro_fem.solve(macro_fem.read_scene(data))
+    assert isinstance(answer, macro_fem.Solution)
+    whole = 40.0 * 0.6 * 0.1
+    hung = -answer.summary.total_load_N[1]
+    assert hung == pytest.approx(whole, rel=0.02)  # of the middles of cells
+    assert answer.summary.combinations is not None
+    (wet,) = answer.summary.combinations
+    assert wet.factors["dirt"] == 1.5
+    assert answer.summary.envelope is not None
+    assert answer.summary.envelope.support_sums[0].force_N == pytest.approx(
+        -1.5 * answer.summary.total_load_N[1], rel=1e-6
+    )
+    assert answer.summary.ring_material == "wire of my mill"
+
+
+def test_the_command_that_is_told_next_has_the_plugins(tmp_path: Path) -> None:
+    table, plugin = Path(__file__).parent / "test_homogenize" / "data" / "table190.csv", EXAMPLES / "own_law.py"
+    done = run("homogenize", "fit", table, "--kind", "net", "--out", tmp_path / "law.json", "--plugin", plugin)
+    assert f" --plugin={plugin}" in done.output.splitlines()[-1]
+
+
+def test_a_load_of_the_table_is_still_made_by_its_name() -> None:
+    loading = macro_fem.Load(gravity=5.0, steps=2)
+    assert isinstance(loading, macro_fem.Loading)
+    assert (loading.gravity, loading.steps) == (5.0, 2)
+
+
+BAD = {
+    "raises.py": ("1 / 0", "ZeroDivisionError: division by zero"),
+    "clash.py": (
+        "import macro_fem\n\nclass Mine(macro_fem.Support, kind='hooks'): ...",
+        "kind = 'hooks' of Mine: is that of Hooks; choose another word",
+    ),
+    "text.txt": ("", "is no Python file"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_plugin_that_cannot_be_loaded_is_one_sentence(folder: Path, name: str) -> None:
+    code, sentence = BAD[name]
+    (folder / name).write_text(code)
+    words = ["run", folder / "scene.toml", "--plugin", folder / name, "--out", folder / "new"]
+    error = run("macro_fem", *words, codes=(2,)).stderr
+    assert sentence in error
+    assert error.count("\n") == 1
+    missing = run("macro_fem", *words[:2], "--plugin", "none.py", "--out", folder / "new", codes=(2,)).stderr
+    assert "none.py: cannot be read: No such file" in missing
+
+
+def test_a_changed_plugin_is_loaded_anew(tmp_path: Path) -> None:
+    file = tmp_path / "weight.py"
+    for pressure in (1.0, 2.0):
+        file.write_text(f"import rve\nrve.MATERIALS['changing'] = rve.Material('changing', yield_N_per_mm2={pressure})")
+        load_plugin(file)
+        assert rve.named_material("changing").yield_N_per_mm2 == pressure
+    del rve.MATERIALS["changing"]
+
+
+def test_installed_packages_are_plugins_by_entry_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "my_mill.py").write_text("import rve\nrve.MATERIALS['my wire'] = rve.Material('my wire')")
+    monkeypatch.syspath_prepend(tmp_path)
+    listed = [EntryPoint("mill", "my_mill", "ring_mesh.plugins")]
+    monkeypatch.setattr("rve.common.plugins.entry_points", lambda group: [one for one in listed if one.group == group])
+    load_installed.cache_clear()
+    try:
+        assert rve.named_material("my wire").name == "my wire"
+        listed.append(EntryPoint("gone", "not_there", "ring_mesh.plugins"))
+        load_installed.cache_clear()
+        with pytest.raises(rve.InputError, match="plugin gone = not_there: ModuleNotFoundError"):
+            rve.named_material("their wire")
+    finally:
+        load_installed.cache_clear()
+        rve.MATERIALS.pop("my wire")
+        sys.modules.pop("my_mill")
