@@ -25,13 +25,14 @@ from macro_fem.job import combined, solve, solve_membrane
 from macro_fem.scene.checks import check_scene
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import Rectangle
+from macro_fem.scene.support_kinds import Hanging
 from macro_fem.scene.tables import Bar, Combination, Item, Wind
 from macro_fem.summary import CurtainSummary
 from rve import solve_table, with_rings
 from rve.common import NO_CACHE, Cache, InputError, NotConverged, checksum, digits, part_of, tell, versions
 
 VARIED: dict[str, tuple[str, str, Callable[[Item], bool]]] = {
-    "pitch": ("mm", "hooks or runners", lambda item: bool(getattr(item, "has_hooks", False))),
+    "pitch": ("mm", "hooks or runners", lambda item: isinstance(item, Hanging) and item.has_hooks),
     "mass": ("kg", "bar", lambda item: isinstance(item, Bar)),
     "speed": ("m/s", "wind with a speed", lambda item: isinstance(item, Wind) and item.speed is not None),
     "r2": ("mm", "wire of rings", lambda item: False),

@@ -119,7 +119,7 @@ class NetLaw(Law, kind="net"):
 
     def elastic(self) -> MembraneLaw:
         """The net whose two fibres alone limit the strain, which `response` is the energy of."""
-        return ElasticNet(**{field.name: getattr(self, field.name) for field in fields(self)})
+        return ElasticNet(**{field.name: vars(self)[field.name] for field in fields(self)})
 
     def _lift(self) -> Array:
         """Strain (2, 3) per unit of excess of each fibre, in the metric in which the two fibres do not interact."""

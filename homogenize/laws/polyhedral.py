@@ -155,7 +155,7 @@ def giving_law(law: PolyhedralLaw) -> GivingLaw | None:
     split = None if law.strength is None else split_compliance(law.S, law.strength)
     if split is None:
         return None
-    same = {field.name: getattr(law, field.name) for field in fields(law)}
+    same = {field.name: vars(law)[field.name] for field in fields(law)}
     return GivingLaw(**(same | {"stiffness": split[0], "extra": split[1]}))
 
 

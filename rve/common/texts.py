@@ -114,7 +114,9 @@ def read_bytes(path: AnyPath, most: int = MOST_BYTES) -> bytes:
     except TypeError:
         raise InputError(f"a file is read by its path, not from {shown(path):.80}") from None
     except (OSError, ValueError, MemoryError) as error:  # ValueError: a name with a null character
-        raise InputError(f"{str(path)[:200]}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+        raise InputError(
+            f"{str(path)[:200]}: cannot be read: {(isinstance(error, OSError) and error.strerror) or error}"
+        ) from error
     if len(content) > most:
         raise InputError(f"{path}: is larger than {most:,} bytes, which is the most that is read")
     found = _reads.get()

@@ -69,7 +69,7 @@ class Typed:
         """Check every field; BadField (an InputError) for the first one that does not fit."""
         for name, kind in types_of(type(self)).items():  # type: ignore[arg-type]
             try:
-                object.__setattr__(self, name, typed(getattr(self, name), kind, name))
+                object.__setattr__(self, name, typed(vars(self)[name], kind, name))
             except ValueError as error:
                 self.refuse(str(error))
         self.check()

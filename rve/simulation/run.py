@@ -84,7 +84,7 @@ class LoadHistory(ByValue):
 
     def __post_init__(self) -> None:
         for item in fields(self):
-            object.__setattr__(self, item.name, np.atleast_1d(np.asarray(getattr(self, item.name), dtype=float)))
+            object.__setattr__(self, item.name, np.atleast_1d(np.asarray(vars(self)[item.name], dtype=float)))
         if len({one.shape for one in vars(self).values()}) > 1 or self.time_s.ndim != 1:
             raise InputError("a load history has as many times as angles alpha, angles beta and sizes")
         if self.time_s[0] != 0.0 or not (np.diff(self.time_s) > 0.0).all():
