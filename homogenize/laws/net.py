@@ -17,7 +17,7 @@ from msgspec import Meta
 
 from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, Response, check_finite
 from homogenize.laws.stored import Law
-from rve.common import Array, Typed, checked, read_typed
+from rve.common import Array, JsonObject, Typed, checked, read_typed
 from rve.common.cell_fields import STEEL_KG_PER_MM3, areal_mass
 from rve.common.tensor import IDENTITY, WEIGHT, disc, double_dot, dyad, from_disc, trace
 from rve.geometry import CellInfo
@@ -127,7 +127,7 @@ class NetLaw(Law, kind="net"):
         gram = (N * WEIGHT) @ N.T
         return np.linalg.solve(gram, N)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         return {"directions": self.directions.tolist(), "limit": self.limit, "stiffness_N_per_mm": self.stiffness}
 
     @classmethod

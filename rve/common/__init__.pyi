@@ -12,6 +12,7 @@ from .factor import linear_solver as linear_solver
 from .files import NO_CACHE as NO_CACHE
 from .files import AnyPath as AnyPath
 from .files import Cache as Cache
+from .files import JsonObject as JsonObject
 from .files import atomic_path as atomic_path
 from .files import check_belongs as check_belongs
 from .files import check_out_file as check_out_file

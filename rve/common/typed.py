@@ -82,7 +82,7 @@ class Typed:
 
 
 @cache
-def types_of(cls: Any) -> dict[str, Any]:
+def types_of(cls: Any) -> Mapping[str, Any]:
     """The type of each field of a dataclass, with its range."""
     hints = get_type_hints(cls, include_extras=True)
     return {item.name: hints[item.name] for item in fields(cls) if item.init}
