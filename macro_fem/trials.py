@@ -251,7 +251,8 @@ def answer_of(scene: Scene, who: Who) -> Outcome:
     """How a scene is judged; its own combinations, if it has any, govern."""
     try:
         found: Any = solve(scene, who) if isinstance(who, OnDemand) else solve_membrane(scene, who)
-        return _outcome(found.summary) if found.status == "converged" else Outcome(str(found.message))
+        has_one = found.status in ("converged", "collapsed")
+        return _outcome(found.summary) if has_one else Outcome(str(found.message))
     except InputError as error:
         return Outcome(str(error))
 

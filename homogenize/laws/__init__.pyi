@@ -13,6 +13,10 @@ from .net import ring_cell as ring_cell
 from .net import ring_net as ring_net
 from .pictures import locking_surface as locking_surface
 from .pictures import strength_loads as strength_loads
+from .plastic import LimitSurface as LimitSurface
+from .plastic import PlasticLaw as PlasticLaw
+from .plastic import limit_surface as limit_surface
+from .plastic import plastic_law as plastic_law
 from .polyhedral import GivingLaw as GivingLaw
 from .polyhedral import PolyhedralLaw as PolyhedralLaw
 from .polyhedral import giving_law as giving_law

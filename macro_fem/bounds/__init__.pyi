@@ -6,3 +6,6 @@ from .interval import admissible_problem as admissible_problem
 from .interval import bound as bound
 from .interval import loads_of as loads_of
 from .interval import mark as mark
+from .limit import CurtainLimit as CurtainLimit
+from .limit import curtain_limit as curtain_limit
+from .limit import limit_levels as limit_levels
