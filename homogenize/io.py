@@ -15,6 +15,7 @@ import numpy as np
 from homogenize import laws
 from homogenize.laws.net import STATED_STIFFNESS
 from homogenize.laws.polyhedral import PolyhedralLaw
+from homogenize.laws.protocol import check_law
 from homogenize.laws.report import ErrorReport
 from homogenize.laws.rows import read_rows
 from homogenize.laws.stored import SCHEMA, UNITS, Law
@@ -93,7 +94,7 @@ def load_law(path: str | Path) -> Law:
     cell = None if entries.cell is None else _read_cell(entries.cell, provenance, f"{where} cell")
     if cell is not None and strength is not None:
         cell = replace(cell, material=strength.material)
-    return replace(
+    law = replace(
         law_kinds()[entries.kind].from_dict(entries.parameters, f"{where} parameters"),
         cell=cell,
         strength=strength,
@@ -103,6 +104,8 @@ def load_law(path: str | Path) -> Law:
         areal_mass_kg_per_m2=entries.areal_mass_kg_per_m2,
         provenance=provenance,
     )
+    check_law(law)
+    return law
 
 
 def _read_cell(cell: Mapping[str, Any], provenance: Mapping[str, Any], where: str) -> CellInfo:

@@ -10,7 +10,7 @@ import numpy as np
 
 from homogenize.fitting.bounds import bounds_of
 from homogenize.fitting.report import random_loads
-from homogenize.fitting.rows import rows_from_table
+from homogenize.fitting.row_tests import rows_from_table
 from homogenize.laws import pictures
 from homogenize.laws.pictures import locking_surface, solid_axes
 from homogenize.laws.protocol import MembraneLaw

@@ -1,4 +1,4 @@
-"""The report of a curtain at rest: what its pages say, which `macro_fem.output.pages` sets as PDF."""
+"""The report of a curtain at rest: what its pages say, which `macro_fem.output.report_pages` sets as PDF."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -10,7 +10,7 @@ import numpy as np
 from macro_fem.curtain import CurtainSolution
 from macro_fem.judged import asked_of_rings, first_of_largest, links
 from macro_fem.output import plans
-from macro_fem.output.pages import GAP, HIGH, PAGE, Chapter, Headline, PageTable, Picture, write_pages
+from macro_fem.output.report_pages import GAP, HIGH, PAGE, Chapter, Headline, PageTable, Picture, write_pages
 from macro_fem.output.told import lean_note, limit_line, loads_in_words
 from macro_fem.scene.support_kinds import Track
 from macro_fem.scene.tables import in_3d

@@ -161,6 +161,106 @@ def test_a_plugin_that_cannot_be_loaded_is_one_sentence(folder: Path, name: str)
     assert "none.py: cannot be read: No such file" in missing
 
 
+OWN = """
+from dataclasses import dataclass
+import homogenize, macro_fem
+from homogenize.laws import HalfSpaces
+from macro_fem.scene import Places
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Tape(homogenize.Law, kind="tape"):
+    limit: float
+    def half_spaces(self):
+        return HalfSpaces([[2.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [2.0 * self.limit, self.limit])
+
+@dataclass(frozen=True)
+class Pegs(macro_fem.Support, kind="pegs"):
+    number: int
+    def places(self, border):
+        (line,) = border.lines("top")
+        return Places(line.at(line.arc[[0, -1]]))
+    def hold(self, border, nodes):
+        return self.held_at("pegs", border, nodes, border.points[nodes])
+
+@dataclass(frozen=True)
+class Ramp(macro_fem.Load, kind="ramp"):
+    pressure: float
+    def per_area(self, X):
+        return 1e-6 * self.pressure * X
+"""
+OWN_SCENE = """
+curtain = {width = 60.0, height = 40.0, areal_mass = 0.9}
+mesh = {cells = 2}
+support = {kind = "pegs", number = 2}
+load = {ramp = {pressure = 0.0}}
+"""
+HOLD, PLACES, FORCE = "return self.held_at", "return Places(line.at(line.arc[[0, -1]]))", "1e-6 * self.pressure * X"
+SET = "HalfSpaces([[2.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [2.0 * self.limit, self.limit])"
+MISTAKES = [
+    (SET, "[[1.0, 0.0, 0.0]], [0.1]", "returns ([[1.0, 0.0, 0.0]], [0.1]), not homogenize.laws.HalfSpaces(S, h)"),
+    ("def half_spaces", "def halfspaces", "half_spaces: Tape has none: return homogenize.laws.HalfSpaces(S, h)"),
+    ("[2.0, 0.0, 0.0]", "[1.5, 0, -0.5]", "law 'tape': half_spaces: half-space 0, S = [1.5, 0.0, -0.5], is not"),
+    ("[2.0, 0.0, 0.0]", "[2.0, 0.0]", "half_spaces: S = [[2.0, 0.0], [0.0, 0.0, 1.0]]: is no array"),
+    ("[2.0 * self.limit, self.limit]", "[0.1]", "got S (2, 3) and h (1,)"),
+    ("self.limit])", "float('nan')])", "half-spaces are finite triples"),
+    ("2.0 * self.limit", "-1.0", "law 'tape': half_spaces: h = -0.5: leaves no strain"),
+    (SET, "HalfSpaces([[1.0, 0.0, 0.0]], [0.1])", "law 'tape': half_spaces: leave the strain open in one direction"),
+    ("    limit: float", "    limit: float\n    compliance = 0.1", "law 'tape': compliance = 0.1: is no (3, 3)"),
+    ("        return HalfSpaces", "        1 / 0\n        return HalfSpaces", "plugin own.py, line 11: ZeroDiv"),
+    (HOLD, "return self.heldat", "own.py, line 20: AttributeError: 'Pegs' object has no"),
+    (HOLD, "self.held_at", "[support] (pegs): hold returns None, not macro_fem.scene.Held"),
+    ("border.points[nodes])", "border.points[nodes] * float('nan'))", "hold returns positions that are not finite"),
+    (PLACES, "return line.at(line.arc[[0, -1]])", "(pegs): places returns array("),
+    (PLACES, "return Places([0.0, 40.0])", "(pegs): places: points = [0.0, 40.0]: are not finite and (k, 2)"),
+    (PLACES, "return Places(edge='tp')", "(pegs) needs edge = 'tp': the curtain has no such edge"),
+    ("per_area", "per_length", "[load.ramp]: Ramp has per_length but no field `edge`"),
+    (FORCE, "'down'", "[load.ramp]: force of Ramp = 'down': is no array of numbers"),
+    ("(frozen=True, eq=False, repr=False)", "(frozen=True)", ""),
+    ("@dataclass(frozen=True, eq=False, repr=False)", "", "class Tape has no fields of its own: is it a @dataclass"),
+    ("@dataclass(frozen=True)\nclass Pegs", "class Pegs", "class Pegs has no fields of its own: is it a @dataclass"),
+    ("@dataclass(frozen=True)\nclass Ramp", "class Ramp", "class Ramp has no fields of its own: is it a @dataclass"),
+]
+
+
+@pytest.fixture
+def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a plugin, a law of it and a scene; its words are forgotten afterwards."""
+    for base in (homogenize.Law, macro_fem.Support, macro_fem.Load):
+        monkeypatch.setattr(base, "kinds", dict(base.kinds))
+    (tmp_path / "own.py").write_text(OWN)
+    (tmp_path / "scene.toml").write_text(OWN_SCENE)
+    (tmp_path / "law.json").write_text('{"kind": "tape", "parameters": {"limit": 0.05}}')
+    return tmp_path
+
+
+def run_own(folder: Path, *words: object, code: int = 0) -> str:
+    """What a run of the curtain of the plugin in a folder says on standard error."""
+    law = ("--law", folder / "law.json", "--out", folder / "out", "--no-picture")
+    return run("macro_fem", "run", folder / "scene.toml", *law, *words, codes=(code,)).stderr
+
+
+@pytest.mark.parametrize(("right", "wrong", "sentence"), MISTAKES)
+def test_a_mistake_in_a_plugin_is_one_sentence_that_names_it(own: Path, right: str, wrong: str, sentence: str) -> None:
+    assert OWN.count(right) == 1
+    (own / "own.py").write_text(OWN.replace(right, wrong))
+    error = run_own(own, "--plugin", own / "own.py", code=(0 if not sentence else 1 if "own.py" in sentence else 2))
+    assert sentence in error
+    assert "please report it" not in error
+
+
+def test_half_spaces_of_any_trace_are_the_same_law(own: Path) -> None:
+    run_own(own, "--plugin", own / "own.py")
+    start = homogenize.load_law(own / "law.json").half_spaces()
+    assert (start.S.tolist(), start.h.tolist()) == ([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [0.05, 0.05])
+
+
+def test_a_plugin_that_was_forgotten_is_asked_for(own: Path) -> None:
+    (own / "law.json").write_text('{"kind": "cloth", "parameters": {}}')
+    error = run_own(own, code=2)
+    assert "[load] ramp = {'pressure': 0.0}: unknown key" in error
+    assert error.strip().endswith("; one of a plugin needs --plugin FILE.py")
+
+
 def test_a_changed_plugin_is_loaded_anew(tmp_path: Path) -> None:
     file = tmp_path / "weight.py"
     for pressure in (1.0, 2.0):

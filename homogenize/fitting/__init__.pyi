@@ -14,10 +14,10 @@ from .refine import refined_half_spaces as refined_half_spaces
 from .report import error_report as error_report
 from .report import held_out_misfit as held_out_misfit
 from .report import random_loads as random_loads
-from .rows import Normality as Normality
-from .rows import mended as mended
-from .rows import normality as normality
-from .rows import rows_from_table as rows_from_table
+from .row_tests import Normality as Normality
+from .row_tests import mended as mended
+from .row_tests import normality as normality
+from .row_tests import rows_from_table as rows_from_table
 from .table import FitOptions as FitOptions
 from .table import FitResult as FitResult
 from .table import cell_of as cell_of

@@ -7,7 +7,7 @@ import numpy as np
 
 from homogenize.directions import folds_of
 from homogenize.fitting.bounds import bounds_of
-from homogenize.fitting.rows import Normality
+from homogenize.fitting.row_tests import Normality
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.report import ErrorReport, Misfit
 from homogenize.laws.rows import LockedRows

@@ -21,7 +21,7 @@ from homogenize.directions import each_once, hull_of
 from homogenize.fitting.bounds import inner_law, outer_law
 from homogenize.fitting.refine import RESOLUTION, Resolution, refined_half_spaces
 from homogenize.fitting.report import error_report
-from homogenize.fitting.rows import NORMALITY_TOLERANCE, mended, normality, rows_from_table, without
+from homogenize.fitting.row_tests import NORMALITY_TOLERANCE, mended, normality, rows_from_table, without
 from homogenize.laws.giving import constant_compliance, work_along
 from homogenize.laws.net import STATED_STIFFNESS, ring_net
 from homogenize.laws.polyhedral import PolyhedralLaw, giving_law, polyhedral_law

@@ -25,6 +25,7 @@ from .protocol import Cut as Cut
 from .protocol import HalfSpaces as HalfSpaces
 from .protocol import MembraneLaw as MembraneLaw
 from .protocol import Response as Response
+from .protocol import check_law as check_law
 from .protocol import elastic_law as elastic_law
 from .report import ErrorReport as ErrorReport
 from .report import Misfit as Misfit

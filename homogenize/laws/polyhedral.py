@@ -21,7 +21,7 @@ from homogenize.laws.net import LEAST_STIFFNESS, MOST_STIFFNESS, STATED_STIFFNES
 from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, Response, check_finite
 from homogenize.laws.stored import Law
 from rve.common import Array, InputError, JsonObject, Typed, read_typed
-from rve.common.tensor import WEIGHT, disc, eigenvalues, trace
+from rve.common.tensor import WEIGHT, disc
 from rve.geometry import CellInfo
 
 LEVELS = 13
@@ -168,14 +168,8 @@ def polyhedral_law(S: Array, h: Array, stiffness: Array | None = None, cell: Cel
     >>> law.support(np.array([[0.5, 0.0, 0.5]])).round(9)
     array([0.35])
     """
-    S, h = np.asarray(S, float), np.asarray(h, float)
-    if S.ndim != 2 or S.shape[1] != 3 or h.shape != (len(S),) or not np.isfinite(S).all() or not np.isfinite(h).all():
-        raise InputError(f"half-spaces are finite triples S with one finite h each, got S {S.shape} and h {h.shape}")
-    size = trace(S)
-    bad = np.flatnonzero(~(size > 1e-6) | (eigenvalues(S)[0] < -1e-9 * size))
-    if len(bad):
-        raise InputError(f"S: half-space {bad[0]}, S = {S[bad[0]].tolist()}, is not tensile")
-    S, h = S / size[:, None], h / size
+    of_unit_trace = HalfSpaces(S, h)
+    S, h = of_unit_trace.S, of_unit_trace.h
     C = STATED_STIFFNESS * np.eye(3) if stiffness is None else np.asarray(stiffness, float)
     return PolyhedralLaw(S, h, outer_vertices(S, h), C, cell=cell, stiffness_is_measured=stiffness is not None)
 

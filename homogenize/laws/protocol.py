@@ -11,8 +11,13 @@ from typing import Protocol
 
 import numpy as np
 
-from rve.common import Array, ByValue, InputError, Rows, checked
+from rve.common import Array, ByValue, InputError, Rows, checked, shown
+from rve.common.records import floats
+from rve.common.tensor import WEIGHT, eigenvalues, trace
 from rve.geometry import CellInfo
+
+ROUNDING = 1e-12
+"""A trace that differs from 1 by less is left as it is, so that half-spaces which are made again are the same."""
 
 
 def check_finite(values: Array, what: str = "strains") -> None:
@@ -24,14 +29,34 @@ def check_finite(values: Array, what: str = "strains") -> None:
 
 @dataclass(frozen=True, eq=False)
 class HalfSpaces(ByValue):
-    """Half-spaces S_i:E <= h_i with S_i positive semidefinite and of unit trace.
+    """Half-spaces S_i:E <= h_i with S_i positive semidefinite; S_i of another trace than 1 and h_i are divided by it.
 
-    S (m, 3); h (m,); extra (m,): by how much each is widened per unit of tau (`homogenize.laws.giving`), or None.
+    S (m, 3) in the order 11, 12, 22; h (m,); extra (m,): by how much each is widened per unit of tau
+    (`homogenize.laws.giving`), or None. InputError for other shapes, numbers that are not finite, and what pushes.
+
+    >>> HalfSpaces(np.array([[2.0, 0.0, 2.0]]), np.array([0.4])).h
+    array([0.1])
     """
 
     S: Array
     h: Array
     extra: Array | None = None
+
+    def __post_init__(self) -> None:
+        """Check, and divide by the trace."""
+        S, h = floats(self.S, "S"), floats(self.h, "h")
+        of_any = S.ndim == 2 and S.shape[1] == 3 and len(S) > 0 and h.shape == (len(S),)
+        if not of_any or not np.isfinite(S).all() or not np.isfinite(h).all():
+            what = "half-spaces are finite triples S with one finite h each"
+            raise InputError(f"{what}, S (m, 3) and h (m,), got S {S.shape} and h {h.shape}")
+        size = trace(S)
+        bad = np.flatnonzero(~(size > 1e-6) | (eigenvalues(S)[0] < -1e-9 * size))
+        if len(bad):
+            raise InputError(f"half-space {bad[0]}, S = {S[bad[0]].tolist()}, is not tensile")
+        size = np.where(np.abs(size - 1.0) < ROUNDING, 1.0, size)
+        object.__setattr__(self, "S", S / size[:, None])
+        object.__setattr__(self, "h", h / size)
+        object.__setattr__(self, "extra", None if self.extra is None else self.extra / size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +113,31 @@ class MembraneLaw(Protocol):
 
     def elastic(self) -> MembraneLaw:
         """The law of elastic curtains: K+ with a compliance behind it, by direction where the law knows it."""
+
+
+def check_law(law: MembraneLaw) -> None:
+    """InputError, which names the law, for half-spaces that are none or leave strains open, and for a compliance that
+    is none: an own law is tested where it is taken.
+
+    With I + 2E positive semidefinite, half-spaces of unit trace leave some strain if each h is above that of E = -I/2,
+    and a bounded set of them if the sum of S is positive definite.
+    """
+    where = f"law {law.name!r}: half_spaces:"
+    try:
+        start = law.half_spaces()
+    except InputError as error:
+        raise InputError(f"{where} {error}") from error
+    if not isinstance(start, HalfSpaces):
+        raise InputError(f"{where} returns {shown(start)}, not homogenize.laws.HalfSpaces(S, h)")
+    if start.h.min() <= -0.5:
+        raise InputError(f"{where} h = {start.h.min():g}: leaves no strain, it must be above -0.5 for S of unit trace")
+    if eigenvalues(start.S.mean(axis=0))[0] <= 1e-14:
+        raise InputError(f"{where} leave the strain open in one direction: give one that is tensile in it too")
+    C = floats(law.compliance, f"law {law.name!r}: compliance")
+    P, most = C / WEIGHT if C.shape == (3, 3) else np.full((3, 3), np.nan), 1e-6 * np.abs(C).max(initial=0.0)
+    if not np.isfinite(P).all() or np.abs(P - P.T).max() > most or np.linalg.eigvalsh(P + P.T)[0] < -most:
+        what = "is no (3, 3) whose column of 12, halved, leaves it symmetric and without negative eigenvalues"
+        raise InputError(f"law {law.name!r}: compliance = {shown(C.tolist())}: {what}")
 
 
 @checked

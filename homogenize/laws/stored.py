@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from homogenize.laws.geometry import Polyhedron, highest, outer_vertices, polyhedron_of, respond
-from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, Response, check_finite
+from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, Response, check_finite, check_law
 from homogenize.laws.report import ErrorReport
 from homogenize.laws.rows import LockedRows
 from homogenize.laws.strength import Strength
@@ -72,7 +72,7 @@ class Law(MembraneLaw):
         return np.zeros((3, 3))
 
     def half_spaces(self) -> HalfSpaces:
-        raise NotImplementedError(f"{type(self).__name__} needs half_spaces()")
+        raise InputError(f"{type(self).__name__} has none: return homogenize.laws.HalfSpaces(S, h)")
 
     def support(self, S: Array) -> Array:
         check_finite(S, "line loads")
@@ -134,6 +134,7 @@ class Law(MembraneLaw):
         """Writes the law file `path` (atomic: it is complete or absent); `homogenize.load_law` reads it."""
         if not self.kind:
             raise InputError(f"{self.name}: has no word for its file: class {self.name}(Law, kind='word')")
+        check_law(self)
         write_text(path, json_text(law_record(self), indent=1))
 
     def plot(self, ax: Axes | None = None) -> Axes:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from homogenize.fitting.rows import normality
+from homogenize.fitting.row_tests import normality
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.rows import LockedRows, with_mirror
 from homogenize.query.strain_bounds import strain_bounds

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homogenize.fitting.rows import normality
+from homogenize.fitting.row_tests import normality
 from homogenize.laws.rows import LockedRows, with_mirror
 from rve.common import Array, Rows
 from rve.common.tensor import IDENTITY, WEIGHT, double_dot, trace

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homogenize import MembraneLaw, elastic_law
-from homogenize.laws import Cut, HalfSpaces, PlasticLaw, Response, plastic_law
+from homogenize.laws import Cut, HalfSpaces, PlasticLaw, Response, check_law, plastic_law
 from rve.common import Array
 from rve.common.tensor import dyad
 
@@ -31,7 +31,8 @@ class HungLaw:
 
     @classmethod
     def at(cls, own: MembraneLaw, angle_deg: float) -> HungLaw:
-        """The law of a weave that is rotated counterclockwise by an angle in the curtain."""
+        """The law of a weave that is rotated counterclockwise by an angle in the curtain; InputError by `check_law`."""
+        check_law(own)
         return cls(own, rotation_on_triples(angle_deg), rotation_on_triples(-angle_deg))
 
     def in_weave(self, A: Array) -> Array:

@@ -17,8 +17,8 @@ from macro_fem.motion.pace import COLUMNS, Run
 from macro_fem.motion.rings import MovingRings, RingFrame
 from macro_fem.motion.series import AnyMover, Series, chosen
 from macro_fem.motion_summary import MotionSummary
+from macro_fem.output.html_page import check_page, write_moments
 from macro_fem.output.images import Draw, in_turn, save_animation, save_panels
-from macro_fem.output.page import check_page, write_moments
 from macro_fem.output.pictures import Drawings, Pictures
 from macro_fem.output.told import motion_verdict
 from macro_fem.rings.every_ring import EveryRing

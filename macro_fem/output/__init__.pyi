@@ -8,11 +8,11 @@ from .images import compose as compose
 from .images import in_turn as in_turn
 from .images import parts as parts
 from .images import save_picture as save_picture
-from .page import write_page as write_page
-from .pages import Chapter as Chapter
-from .pages import Headline as Headline
-from .pages import PageTable as PageTable
-from .pages import write_pages as write_pages
+from .html_page import write_page as write_page
+from .report_pages import Chapter as Chapter
+from .report_pages import Headline as Headline
+from .report_pages import PageTable as PageTable
+from .report_pages import write_pages as write_pages
 from .pictures import STATES as STATES
 from .pictures import panels as panels
 from .plans import track_parts as track_parts

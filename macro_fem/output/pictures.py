@@ -13,8 +13,8 @@ from macro_fem.fem.cells import mean_at_corners
 from macro_fem.judged import judged_by, rings_at_points, utilisation
 from macro_fem.output import space_view
 from macro_fem.output.arrows import FORCES
+from macro_fem.output.html_page import check_page, write_page
 from macro_fem.output.images import in_turn, save_animation, save_panels
-from macro_fem.output.page import check_page, write_page
 from macro_fem.scene.scene import Scene
 from rve.common import (
     AnyPath,

@@ -12,7 +12,7 @@ from macro_fem.answer import Solution
 from macro_fem.curtain import CurtainSolution
 from macro_fem.judged import own_forces, support_forces
 from macro_fem.output.files import weave_of
-from macro_fem.output.page import write_page
+from macro_fem.output.html_page import write_page
 from macro_fem.output.pictures import Drawings, Pictures
 from macro_fem.output.told import components
 from macro_fem.ring_summary import EveryRingSummary, RingObstacle

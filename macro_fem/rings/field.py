@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from macro_fem.fem.cells import padded
+from macro_fem.output.html_page import write_page
 from macro_fem.output.images import save_picture, save_view
-from macro_fem.output.page import write_page
 from macro_fem.output.pictures import Drawings, Pictures, draw_all
 from macro_fem.rings.curtain import Curtain, Sites
 from rve import Cell

@@ -27,6 +27,7 @@ from macro_fem.scene.tables import Bar, EdgeLoad, Load, PatchLoad, PointLoad, Wi
 from rve import DirectOptions
 from rve import solidity as solidity_of
 from rve.common import Array
+from rve.common.records import floats
 from rve.geometry import CellInfo
 
 Kind = TypeVar("Kind", bound=MembraneLaw | LawInterval)
@@ -110,6 +111,8 @@ def own_forces(load: Load, scene: Scene, mesh: CurtainMesh, disc: Discretization
         each = _as_forces(load.per_area(middles), middles, load, scene)
         forces += load_vector(disc, np.tile(each, (disc.n_quad, 1)))
     if kind.per_length is not Load.per_length:
+        if "edge" not in vars(load):
+            scene.refuse(f"{load.where}: {kind.__name__} has per_length but no field `edge`")
         shares = edge_shares(mesh, disc, vars(load)["edge"])
         forces += shares[:, None] * _as_forces(load.per_length(disc.nodes), disc.nodes, load, scene)
     return forces
@@ -117,7 +120,7 @@ def own_forces(load: Load, scene: Scene, mesh: CurtainMesh, disc: Discretization
 
 def _as_forces(given: Array, X: Array, load: Load, scene: Scene) -> Array:
     """Forces (n, d) at points X (n, 2); InputError for other shapes and numbers that are not finite."""
-    given = np.asarray(given, float)
+    given = floats(given, f"{scene.source}: {load.where}: force of {type(load).__name__}")
     if given.shape not in ((len(X), 2), (len(X), 3)) or not np.isfinite(given).all():
         scene.refuse(f"{load.where}: {type(load).__name__} gives {given.shape}, not finite forces (n, 2) or (n, 3)")
     if given.shape[1] > scene.d and given[:, 2].any():

@@ -61,7 +61,7 @@ def read_scene(data: JsonObject, source: str | Path = "scene") -> Scene:
     if "curtain" not in data:
         raise InputError(f"{source}: [curtain]: is missing")
     load = data.get("load", {})
-    refuse_unknown(load, ("gravity", "steps", *Load.kinds), f"{source}: [load]")
+    refuse_unknown(load, ("gravity", "steps", *Load.kinds), f"{source}: [load]", hint=PLUGIN)
     items = []
     for name, base in LISTS.items():
         items += read_records(data.get(name, []), base.kinds, f"{source}: [{name}]")

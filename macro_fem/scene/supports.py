@@ -19,9 +19,9 @@ from macro_fem.scene.meshing.edges import in_order
 from macro_fem.scene.meshing.mesh import CurtainMesh, edge_nodes
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.support_kinds import NONE, PARALLEL, Held, sloping
+from macro_fem.scene.support_kinds import NONE, PARALLEL, Held, Support, sloping
 from macro_fem.scene.tables import Bar
-from rve.common import Array
+from rve.common import Array, InputError, shown
 from rve.common.records import Index
 
 
@@ -147,6 +147,7 @@ def _held(scene: Scene, number: int, mesh: CurtainMesh, disc: Discretization, fa
     item, places, d = scene.support[number], mesh.places[number], scene.d
     with scene.in_errors():
         held = item.hold(mesh.border, mesh.border.nodes(places.edge) if places.edge else places.nodes)
+        _check_held(held, item, d)
     positions = held.positions[:, :d] + factor * scene.vector(item.move)
     slide, facets = None if held.slide is None else held.slide[:d], mesh.edges.get(places.edge, NONE)
     held = replace(held, mask=held.mask[:, :d], positions=positions, slide=slide, facets=facets, number=number)
@@ -160,6 +161,19 @@ def _held(scene: Scene, number: int, mesh: CurtainMesh, disc: Discretization, fa
     mask = np.concatenate([held.mask, held.mask[ends[0]]])[order]
     positions = np.concatenate([held.positions, held.positions[ends].mean(axis=0)])[order]
     return replace(held, nodes=nodes[order], mask=mask, positions=positions)
+
+
+def _check_held(held: Held, item: Support, d: int) -> None:
+    """InputError for what `hold` of a support, which may be of a plugin, returns instead of held components."""
+    if not isinstance(held, Held):
+        what = f"not macro_fem.scene.Held: return self.held_at({item.kind!r}, border, nodes, border.points[nodes])"
+        raise InputError(f"{item.where}: hold returns {shown(held)}, {what}")
+    mask, positions = held.mask, held.positions
+    if mask.shape != positions.shape or len(mask) != len(held.nodes) or mask.shape[1:] not in ((d,), (3,)):
+        what = f"{len(held.nodes)} nodes, mask {mask.shape}, positions {positions.shape}"
+        raise InputError(f"{item.where}: hold returns {what}; these are (k,), (k, 3) and (k, 3)")
+    if not np.isfinite(positions[mask]).all():
+        raise InputError(f"{item.where}: hold returns positions that are not finite")
 
 
 def sliding_nodes(lines: list[tuple[Index, Array]], whole: np.ndarray, d: int) -> Sliding:

@@ -11,6 +11,7 @@ from hashlib import sha256
 from importlib.metadata import entry_points
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from traceback import walk_tb
 from typing import Any
 
 from rve.common.errors import InputError
@@ -48,6 +49,16 @@ def load_installed() -> None:
             entry.load()
         except Exception as error:  # whatever the code of others raises
             raise InputError(f"plugin {entry.name} = {entry.value}: {type(error).__name__}: {error}") from error
+
+
+def place_in_plugin(error: BaseException) -> str:
+    """File and line where a plugin raised an error, or called what did; "" if none had a part in it."""
+    packages = {entry.module.partition(".")[0] for entry in entry_points(group=GROUP)}
+    for frame, line in reversed([*walk_tb(error.__traceback__)]):
+        file, module = frame.f_code.co_filename, str(frame.f_globals.get("__name__"))
+        if file in PLUGINS or module.partition(".")[0] in packages:
+            return f"{Path(file).name}, line {line}"
+    return ""
 
 
 def register(kinds: dict[str, type[Any]], kind: str, cls: type) -> None:

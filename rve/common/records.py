@@ -7,10 +7,20 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common.errors import InputError, shown
+
 Array = NDArray[np.float64]
 """Floating-point array; its shape is stated where it is used."""
 Index = NDArray[np.intp]
 Flags = NDArray[np.bool_]
+
+
+def floats(values: Any, what: str) -> Array:
+    """Values of others as an array; InputError, which begins with `what`, for words and rows of unlike length."""
+    try:
+        return np.asarray(values, float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{what} = {shown(values)}: is no array of numbers") from error
 
 
 class ByValue:

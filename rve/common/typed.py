@@ -11,7 +11,8 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import MISSING, fields
 from functools import cache
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from inspect import get_annotations
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -83,8 +84,11 @@ class Typed:
 
 @cache
 def types_of(cls: Any) -> Mapping[str, Any]:
-    """The type of each field of a dataclass, with its range."""
+    """The type of each field of a dataclass, with its range; InputError for a class that was not made one."""
     hints = get_type_hints(cls, include_extras=True)
+    own = [name for name in get_annotations(cls) if get_origin(hints[name]) is not ClassVar]
+    if (own or "__init__" in vars(cls)) and "__dataclass_fields__" not in vars(cls):
+        raise InputError(f"class {cls.__name__} has no fields of its own: is it a @dataclass(frozen=True)?")
     return {item.name: hints[item.name] for item in fields(cls) if item.init}
 
 
@@ -132,8 +136,11 @@ def read_entry(table: Mapping[str, Any], key: str, kind: Any, where: str = "") -
         raise InputError(str(error)) from None
 
 
-def refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str, what: str = "key") -> None:
-    """InputError for what is no table, and for its first key that is not known, with the one probably meant."""
+def refuse_unknown(
+    table: Mapping[str, Any], known: Iterable[str], where: str, what: str = "key", hint: str = ""
+) -> None:
+    """InputError for what is no table, and for its first key that is not known, with the one probably meant, and the
+    `hint` if it is a table itself."""
     if not isinstance(table, Mapping):
         raise InputError(f"{where} is not a table of names and values")
     known = list(known)
@@ -141,7 +148,7 @@ def refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str, w
         if key not in known:
             named = f"{key!s:.80} = {shown(value)}" if what == "key" else f"{key!s:.80}"
             listed = f"{did_you_mean(key, known)}known are {', '.join(known) or 'none'}"
-            raise InputError(f"{where} {named}: unknown {what}; {listed}")
+            raise InputError(f"{where} {named}: unknown {what}; {listed}{hint * isinstance(value, dict | list)}")
 
 
 def _plain(value: Any) -> Any:

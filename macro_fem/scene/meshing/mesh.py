@@ -22,10 +22,10 @@ from macro_fem.scene.meshing.nodes import with_nodes_at
 from macro_fem.scene.meshing.sheet_mesh import read_mesh
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
-from macro_fem.scene.support_kinds import Hanging, Places
-from macro_fem.scene.tables import PatchLoad, PointLoad
+from macro_fem.scene.support_kinds import Hanging, Places, Support
+from macro_fem.scene.tables import Item, PatchLoad, PointLoad
 from rve.common import Array, InputError, shown
-from rve.common.records import Index
+from rve.common.records import Index, floats
 from rve.common.typed import did_you_mean
 from rve.geometry import CellInfo
 
@@ -105,7 +105,7 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     sheet = divide(scene, cell)
     _check_edges(scene, sheet)
     with scene.in_errors():
-        places = [item.places(sheet.border) for item in scene.support]
+        places = [_places_of(item, sheet) for item in scene.support]
     single = [number for number, one in enumerate(places) if not one.edge]
     single.sort(key=lambda number: not places[number].pitch)  # hooks first
     mesh, numbers = sheet.fill()
@@ -130,9 +130,28 @@ def _check_edges(scene: Scene, sheet: DividedSheet) -> None:
     for item in scene.items:
         edge = item.on_edge
         if edge is not None and edge not in edges:
-            known = "; ".join([", ".join(sorted(edges)), *sheet.notes])
-            near = f"; {did_you_mean(edge, edges)}".rstrip("; ")
-            scene.refuse(f"{item.where} needs edge = {shown(edge)}: the curtain has no such edge, only {known}{near}")
+            scene.refuse(_no_edge(item, edge, sheet))
+
+
+def _no_edge(item: Item, edge: str, sheet: DividedSheet) -> str:
+    """What is said of an edge that a sheet has not."""
+    edges = sheet.border.edges
+    known = "; ".join([", ".join(sorted(edges)), *sheet.notes])
+    near = f"; {did_you_mean(edge, edges)}".rstrip("; ")
+    return f"{item.where} needs edge = {shown(edge)}: the curtain has no such edge, only {known}{near}"
+
+
+def _places_of(item: Support, sheet: DividedSheet) -> Places:
+    """Where a support, which may be of a plugin, holds a sheet; InputError for what it says that is no place."""
+    places = item.places(sheet.border)
+    if not isinstance(places, Places):
+        raise InputError(f"{item.where}: places returns {shown(places)}, not macro_fem.scene.Places(points)")
+    points = floats(places.points, f"{item.where}: places: points")
+    if places.edge and places.edge not in sheet.border.edges:
+        raise InputError(_no_edge(item, places.edge, sheet))
+    if not places.edge and (points.shape != (len(points), 2) or not len(points) or not np.isfinite(points).all()):
+        raise InputError(f"{item.where}: places: points = {shown(points.tolist())}: are not finite and (k, 2)")
+    return places._replace(points=points)
 
 
 def edge_nodes(mesh: CurtainMesh, disc: Discretization, name: str) -> Index:

@@ -28,7 +28,7 @@ import click
 from rve.common.errors import InputError, NotConverged, NotDrawn, cut, require
 from rve.common.errors import shown as quoted
 from rve.common.files import check_out_file, json_text
-from rve.common.plugins import load_plugin
+from rve.common.plugins import load_plugin, place_in_plugin
 from rve.common.progress import shown, tell
 from rve.common.texts import numbers_of
 from rve.common.typed import alone, did_you_mean
@@ -179,8 +179,13 @@ def ending(error: BaseException) -> tuple[int, str]:
         return 1, f"{where}{error.strerror}{room}; files that were there before are unchanged"
     if isinstance(error, MemoryError):
         return 1, "there is not enough memory for this; ask for fewer cells, rings, rows or workers"
-    kind = type(error).__name__
-    return 1, f"unforeseen {kind}: {str(error) or 'no message'}; please report it with what --traceback prints"
+    what, place = f"{type(error).__name__}: {str(error) or 'no message'}", place_in_plugin(error)
+    if place:
+        return (
+            1,
+            f"plugin {place}: {what}; it is an error of the plugin, --traceback at the end says more",
+        )
+    return 1, f"unforeseen {what}; please report it with what the same command prints with --traceback at the end"
 
 
 def say(*lines: str, err: bool = False) -> None:
