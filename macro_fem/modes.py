@@ -297,7 +297,7 @@ def run_modes(
         from macro_fem.motion_report import write_modes_report
 
         def draw(width: float) -> Figure:
-            return plans.printed(plot_shapes(modes, REPORTED), width)
+            return plans.printed(plot_shapes(modes, REPORTED), width, width, _captions(modes)[:REPORTED])
 
         told = str(report.absolute())
         drawings[told] = lambda path: write_modes_report(path, scene, summary, draw, inputs)
@@ -335,8 +335,10 @@ def plot_shapes(modes: Modes, most: int) -> Plotter:
 
 def draw_shapes(path: Path, modes: Modes) -> None:
     """The shapes side by side beneath their frequencies, as PNG."""
-    each = zip(modes.frequencies_Hz, modes.multiplicity, strict=True)
-    words = (f"{one:.3g} Hz ({count} modes)" if count > 1 else f"{one:.3g} Hz" for one, count in each)
-    numbered = [f"{number}: {one}" for number, one in enumerate(words, 1)]
     plotter = plot_shapes(modes, len(modes.shapes))
-    save_picture(path, plotter, "natural frequencies and their shapes", numbered)
+    save_picture(path, plotter, "natural frequencies and their shapes", _captions(modes))
+
+
+def _captions(modes: Modes) -> list[str]:
+    each = enumerate(zip(modes.frequencies_Hz, modes.multiplicity, strict=True), 1)
+    return [f"{k}: {one:.3g} Hz{f' ({count} modes)' if count > 1 else ''}" for k, (one, count) in each]

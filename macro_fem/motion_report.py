@@ -24,7 +24,7 @@ def write_motion_report(
     peaks, energies, limits. `plot` draws the forces; `moments`: their names, and how to draw them."""
     names, draws = zip(*moments, strict=True)
     curve = Picture(lambda width: plans.draw_axes(width, 0.6 * HIGH, plot), PAGE, "Force of all supports over time.")
-    shown = Picture(lambda width: plans.draw_views(draws, width), PAGE, f"At {'; '.join(names)}.")
+    shown = Picture(lambda width: plans.draw_views(draws, width, PAGE, names), PAGE, "Line loads and forces over time.")
     told = motion_verdict(summary)
     lines = [
         f"{told[:1].upper()}{told[1:]}",

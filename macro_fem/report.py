@@ -30,6 +30,11 @@ LIMITS = (
     "the load combinations, if there are any.",
 )
 """What holds for every answer by a law."""
+OF_SHEET = (
+    "The sheet is slack up to the limit of its law. Where it is locked it gives no more, or as much as the stiffness "
+    "of the law says; friction would hold folds that are shown as free to slip."
+)
+"""The first of them for a law without rings."""
 WIDE = 2.0
 """A sheet so many times wider than high is drawn over the whole width."""
 NOISE = 1e-4
@@ -95,18 +100,19 @@ def _first_page(solution: CurtainSolution) -> list[list[Picture]]:
     """Drawings with dimensions and loads; in space plan, side and a view, in the plane how it hangs."""
     scene, half = solution.problem.scene, 0.5 * (PAGE - GAP)
     loads = f"Flat sheet with its supports and loads: {loads_in_words(scene) or 'none'}. Dimensions in mm."
-    is_wide = bool(np.divide(*scene.curtain.extent(solution.problem.mesh.mesh.p.T)) > WIDE)
-    sheet = Picture(lambda width: plans.draw_sheet(solution, width, HIGH), PAGE if is_wide else half, loads)
     if not scene.in_space:
+        is_wide = bool(np.divide(*scene.curtain.extent(solution.problem.mesh.mesh.p.T)) > WIDE)
+        sheet = Picture(lambda width: plans.draw_sheet(solution, width, HIGH), PAGE if is_wide else half, loads)
         words = "As it hangs: largest line load, and its direction; dashed: before deformation."
         hung = Picture(lambda width: plans.draw_hung(solution, width, HIGH), half, words)
         return [[sheet], [hung]] if is_wide else [[sheet, hung]]
-    slim = 34.0 if plans.side_is_slim(solution) else half
-    view = Picture(lambda width: plans.draw_view(solution, width), half, "In space, with line loads and forces.")
-    rest = PAGE if is_wide else PAGE - GAP - slim
-    above = Picture(lambda width: plans.draw_plan(solution, width, HIGH), rest, _plan_words(solution))
+    slim = 34.0 if plans.side_is_slim(solution) else 60.0
+    sheet = Picture(lambda width: plans.draw_sheet(solution, width, HIGH), half, loads)
+    words = "In space, with line loads and forces."
+    view = Picture(lambda width: plans.draw_view(solution, width, 1.25 * HIGH), half, words)
+    above = Picture(lambda width: plans.draw_plan(solution, width, HIGH), PAGE - GAP - slim, _plan_words(solution))
     side = Picture(lambda width: plans.draw_side(solution, width, HIGH), slim, "From the left side.")
-    return [[sheet], [view, side], [above]] if is_wide else [[sheet, view], [above, side]]
+    return [[sheet, view], [above, side]]
 
 
 def _plan_words(solution: CurtainSolution) -> str:
@@ -342,11 +348,11 @@ def _further(summary: CurtainSummary) -> list[Chapter]:
     sections = []
     if summary.obstacles:
         head = ("obstacle", "kind", "nodes touched", "moved by, mm", "x", "y", "z")
-        rows = []
+        rows, least = [], NOISE * max(map(abs, summary.total_load_N), default=0.0)
         for one in summary.obstacles:
             for k, step in enumerate(one.steps, 1):
                 of = f", step {k}" if len(one.steps) > 1 else ""
-                push = (digits(part, 4) for part in in_3d(tuple(step.reaction_N)))
+                push = components_of(in_3d(tuple(step.reaction_N)), least, 3)[1:]
                 touched = f"{one.nodes_touched}" if k == len(one.steps) else ""
                 rows.append([f"{one.obstacle}{of}", one.kind, touched, digits(step.displacement_mm, 4), *push])
         sections.append(
@@ -370,4 +376,7 @@ def _limits(summary: CurtainSummary) -> Chapter:
         *summary.notes,
     ]
     own += [summary.strength_note] if summary.utilisation_of_averages_max is None else []
-    return Chapter("Assumptions and limits", [*LIMITS, *(f"{one[:1].upper()}{one[1:]}." for one in own if one)])
+    first = LIMITS[0] if summary.order.r1_mm is not None else OF_SHEET
+    return Chapter(
+        "Assumptions and limits", [first, *LIMITS[1:], *(f"{one[:1].upper()}{one[1:]}." for one in own if one)]
+    )

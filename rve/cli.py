@@ -352,7 +352,7 @@ def simulate(
         E, direct = ([end[f"{name}{of}"] for name in ("E11", "E12", "E22")] for of in ("", "_direct"))
         told = f"alpha {end['alpha_deg']:g}, beta {end['beta_deg']:g}: {end['status']} after {end['steps']} steps"
         strains = f"{', '.join(f'{x:.6f}' for x in E)}; direct solver {', '.join(f'{x:.6f}' for x in direct)}"
-        say(f"{told}, {end['t_s']:.1f} s; E = {strains}")
+        say(f"{told}, t = {end['t_s']:.1f} s; E = {strains}")
     if loop is not None:
         say(f"{loop}")
     answer(record)

@@ -3,6 +3,7 @@
 import re
 import shlex
 import shutil
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -25,7 +26,7 @@ rve table -> Missing option '--out'
 rve table --out -> '--out' requires an argument
 rve table --out new.csv --ring -> No such option: --ring; did you mean --rings?
 rve table --out new.csv --{"a" * 999} -> No such option: --a
-rve table --out new.csv --weave 6in1 -> '6in1' is not one of '4-in-1', '6-in-1'; did you mean 6-in-1?
+rve table --out new.csv --weave 6in1 -> japanese-6-in-1, FILE.toml; did you mean 6-in-1?
 rve table --out new.csv --r1 '6 cm' -> '6 cm' is not a number; write the number alone, in mm: 60
 rve table --out new.csv --density '8 g/cm3' -> write the number alone, in kg/m3: 8000
 rve table --out new.csv --r2 0,5 -> '0,5' is not a number; has a decimal comma; write 0.5
@@ -101,7 +102,7 @@ macro_fem run scene.toml --out new --law curtain/summary.json -> is a record of 
 macro_fem run scene.toml --out new --cell 8,1 --weave 6-in-1 --law law.json
  -> law.json: has the weave 4-in-1 with grain y, --cell the weave 6-in-1 with grain y; give both the same one
 macro_fem run scene.toml --out new --cell 5,0.5 --grain x --law law.json -> the weave 4-in-1 with grain x; give both
-homogenize fit semicolons.csv --out new.json -> line 2, column E11: '0,0' is not a number; has a decimal
+homogenize fit semicolons.csv --out new.json -> line 2, column E11: '0,7539450766977034' is not a number; has a decimal
 homogenize fit lower.csv --out new.json -> lower.csv: column E11 is missing; write E11 in place of e11
 homogenize fit commas.csv --out new.json -> column alpha_deg: '0,5' is not a number; has a decimal comma; write 0.5
 homogenize fit utf16.csv --out new.json -> utf16.csv: is not a CSV text file: it is no text in UTF-8; save it in this
@@ -166,6 +167,7 @@ def test_what_makes_no_sense_is_one_sentence(command, sentence, folder, monkeypa
     monkeypatch.setattr("rve.common.commands.sweeps.CONNECT_S", 0.5)
     monkeypatch.chdir(folder)
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    monkeypatch.setattr("rve.common.commands.command_line.shown", nullcontext)  # lines of progress of a slow machine
     message = run(*shlex.split(command), codes=(2,)).stderr
     assert message.startswith("Error: ")
     assert message.index("\n") == len(message) - 1  # and no usage before it

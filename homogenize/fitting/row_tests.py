@@ -140,6 +140,10 @@ def mended(rows: LockedRows) -> LockedRows:
         onto = A.reshape(len(i), -1).T
         E = own + (onto @ nnls(onto, -own.ravel())[0]).reshape(-1, 3)
     moved = np.sqrt(((E - own) ** 2).sum(axis=1))
-    told = (f"strain {row}: moved by {far:.1e}" for row, far in zip(rows.source, moved, strict=True) if far > ROUNDING)
+    told = (
+        f"the strain of row {row} is moved by {far:.1e}"
+        for row, far in zip(rows.source, moved, strict=True)
+        if far > ROUNDING
+    )
     E = E / root
     return replace(rows, E=E, h=double_dot(rows.S, E), dropped=(*rows.dropped, *told))

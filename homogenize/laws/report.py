@@ -50,7 +50,9 @@ class ErrorReport(Typed):
         """The report in lines that a person reads."""
         lines, count = [f"{self.kind} law: {self.normality}"], len(self.dropped)
         if count:
-            lines.append(f"left out: {'; '.join(self.dropped[:5])}{f'; and {count - 5} more' if count > 5 else ''}")
+            lines.append(
+                f"left out or mended: {'; '.join(self.dropped[:5])}{f'; and {count - 5} more' if count > 5 else ''}"
+            )
         if self.not_unique:
             lines.append(f"{self.not_unique} rows have no unique strain: theirs is one of many")
         lines.append(self.rows.text("error of h at the rows"))

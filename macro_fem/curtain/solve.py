@@ -48,6 +48,8 @@ NOT_UNIQUE = (
     'those of one of them; kind = "elastic" under [solver] gives those that the stiffness of the rings decides'
 )
 """What a rigid curtain says of forces that it leaves open."""
+SHEETS = "sheets that only lock", "a sheet that stretches by the stiffness of its law, which may be an assumed one"
+"""What stands for rigid and for elastic rings where a law has none."""
 
 
 def solve_problem(problem: CurtainProblem, start: CurtainSolution | None = None) -> CurtainSolution:
@@ -225,20 +227,21 @@ def with_forces(found: CurtainSolution) -> CurtainSolution:
         why = "balance, or the distance of two points, decides the forces of the supports"
         return replace(found, second_step=(False, why))
     elastic, why = None, f"as a law of kind {problem.law.name} has no stiffness"
+    stiff, soft = ("rigid rings", "elastic rings") if problem.law.cell else SHEETS
     if problem.law.compliance.any():
         solver = replace(problem.scene.solver, kind="elastic", bounds=False, adapt=0)
         second = replace(problem, scene=replace(problem.scene, solver=solver), bodies=(), winds=())
         try:
             with part_of("forces by elastic rings"):
                 elastic = solve_problem(second, found)
-                why = f"with elastic rings {elastic.message}"
+                why = f"with {soft} {elastic.message}"
         except InputError as error:
-            why = f"with elastic rings {error}"
+            why = f"with {soft} {error}"
     if elastic is None or elastic.status != "converged":
         return replace(found, second_step=(False, f"forces are one choice of many: {why}"))
     why = (
-        f"rigid rings leave {count} sets of support forces open: forces, line loads and the safety factor are those of "
-        f"elastic rings, {elastic.iterations} more steps of the solver; shape and heights are those of rigid rings"
+        f"{stiff} leave {count} sets of support forces open: forces, line loads and the safety factor are those of "
+        f"{soft}, {elastic.iterations} more steps of the solver; shape and heights are those of {stiff}"
     )
     return replace(
         found,

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from macro_fem.curtain import CurtainState
-from macro_fem.judged.forces import support_forces
+from macro_fem.judged.forces import first_of_largest, support_forces
 from macro_fem.judged.strength import UNLOADED, largest_utilisation
 from macro_fem.scene.tables import Combination
 from macro_fem.summary import (
@@ -72,7 +72,8 @@ def links(summary: Utilisation, supports: Sequence[SupportForce]) -> list[Link]:
             kind = "runner" if support.support == "track" else support.support.removesuffix("s")
             of = f" of support {number}" if len(supports) > 1 else ""
             text = f"{kind}s of support {number} bear up to {digits(force, 4)} N of {capacity:g} N"
-            most = max(support.points, key=lambda one: one.size_N, default=None)
+            held = support.points
+            most = held[first_of_largest([one.size_N for one in held])] if held else None
             place = _place(most.at_mm, f"{most.point}{of}") if most else ""
             found.append(Link(capacity / force, f"{kind} capacity{of}", text, place))
     return sorted(found)
@@ -100,10 +101,12 @@ def judge(summary: CurtainNumbers, rows: Sequence[CombinationRow] = (), most: En
     a single point under any of them. most: the envelope of the rows."""
     worst, is_solved = most or summary, summary.status in ("converged", "collapsed")
     factor = worst.weakest_factor
+    is_judged = factor is None or summary.utilisation_max is not None
+    unknown = None if is_judged else f"the strength of the mesh is not known: {summary.strength_note}"
     return Decision(
         holds=None if factor is None or not is_solved else factor >= 1.0,
         governing_factor=factor,
-        governing_note=worst.utilisation_too_low,
+        governing_note=worst.utilisation_too_low or unknown,
         governing_combination=None if most is None else most.governing,
         governing_link=worst.weakest,
         governing_place=worst.weakest_place,

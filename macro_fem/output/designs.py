@@ -120,7 +120,7 @@ def chart(rows: Sequence[Row]) -> Figure:
         ax.spines[["top", "right"]].set_visible(False)
         if not ax.yaxis_inverted():
             ax.invert_yaxis()
-    figure.suptitle("green: holds, red: does not hold, grey: not known", fontsize=9)
+    figure.suptitle("green: holds, orange: does not hold, grey: not known", fontsize=9)
     return figure
 
 

@@ -17,6 +17,8 @@ Draw = Callable[[Plotter], Plotter]
 """Draws into the active panel of a plotter, which it returns."""
 WIDTH, DPI = 6.3, 250
 """Of a picture, inches: 160 mm, at which its letters have 9 points or more; and pixels of an inch."""
+NAME = 3.0
+"""Room of a name in a legend, inches."""
 FRAME_MS, LAST_MS = 120, 1500
 """How long a frame of an animation is shown, and its last one."""
 
@@ -27,10 +29,12 @@ def parts(plotter: Plotter, panel: int = 0) -> dict[str, tuple[PolyData, Any, Sc
     return {name: (one.mapper.dataset, one, getattr(one, "colour_scale", None)) for name, one in found}
 
 
-def compose(plotter: Plotter, title: str, captions: Sequence[str] = (), *, is_still: bool = True) -> Figure:
+def compose(
+    plotter: Plotter, title: str, captions: Sequence[str] = (), width: float = WIDTH, *, is_still: bool = True
+) -> Figure:
     """The panels of a plotter in rows with their captions, beneath a title, above a bar of colours and a legend, as a
-    figure of matplotlib as wide as a page. is_still: what is white in all panels is cut off around them; images of an
-    animation keep their size."""
+    figure of matplotlib of a width in inches, by default of a page, and as high as all this needs. is_still: what is
+    white in all panels is cut off around them; images of an animation keep their size."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
@@ -47,8 +51,10 @@ def compose(plotter: Plotter, title: str, captions: Sequence[str] = (), *, is_st
     shown = {name: part for panel in range(panels) for name, part in parts(plotter, panel).items()}
     plain = {name: one for name, (*one, scale) in shown.items() if scale is None and name not in UNLISTED}
     scales = {scale for *_, scale in shown.values() if scale is not None}
-    room = 0.3 + 0.6 * len(scales) + 0.2 * -(-len(plain) // 2) + 0.25 * rows * bool(captions) + 0.2 * title.count("\n")
-    figure = Figure(figsize=(WIDTH, rows * WIDTH / columns * shape + room), dpi=DPI)
+    named = max(int(width / NAME), 1)
+    room = 0.6 * len(scales) + 0.2 * -(-len(plain) // named) + 0.25 * rows * bool(captions)
+    room += 0.2 * title.count("\n") + (0.3 if title else 0.1)
+    figure = Figure(figsize=(width, rows * width / columns * shape + room), dpi=DPI)
     figure.set_layout_engine("constrained", h_pad=0.04, w_pad=0.04)
     axes = figure.subplots(rows, columns, squeeze=False)
     for ax in axes.flat:
@@ -66,7 +72,7 @@ def compose(plotter: Plotter, title: str, captions: Sequence[str] = (), *, is_st
     ]
     if marks:
         unnamed = ["part"] * len(marks)  # a label that begins with "_" is left out
-        legend = figure.legend(marks, unnamed, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+        legend = figure.legend(marks, unnamed, loc="outside lower center", ncols=named, frameon=False, fontsize=9)
         for text, name in zip(legend.get_texts(), plain, strict=True):
             text.set_text(name)
     return as_typed(figure)

@@ -76,11 +76,20 @@ def track_parts(curve: Curve) -> list[TrackPart]:
                 end += 1
         before = math.degrees(turn[k - 1]) if k else 0.0
         is_corner = k > 0 and (abs(before) > KINK or not (is_arc or parts[-1].radius))
-        own, radius = float(length[k:end].sum()), 1.0 / float(np.mean(bend[k : end - 1])) if is_arc else 0.0
+        own = float(length[k:end].sum())
+        radius = float(np.sign(bend[k])) * _radius(curve.plan.points[k : end + 1]) if is_arc else 0.0
         turned = math.degrees(own / radius) if is_arc else 0.0
         parts.append(TrackPart(own, abs(radius), turned, before if is_corner else 0.0))
         k = end
     return parts
+
+
+def _radius(points: Array) -> float:
+    """Of the circle that lies nearest to points (n, 2), in the mean of the squares; rounding of theirs cancels."""
+    away = points - points.mean(axis=0)
+    square = (away**2).sum(axis=1)
+    *twice, rest = np.linalg.lstsq(np.column_stack([away, np.ones(len(away))]), square, rcond=None)[0]
+    return float(np.sqrt(rest + 0.25 * np.square(twice).sum()))
 
 
 def track_of(solution: CurtainSolution, item: Track) -> Curve:
@@ -227,30 +236,25 @@ def side_is_slim(solution: CurtainSolution) -> bool:
     return bool(np.ptp(padded(solution.x)[:, 2]) < 0.6 * np.ptp(solution.x[:, 1]))
 
 
-def draw_view(solution: CurtainSolution, width: float) -> Figure:
+def draw_view(solution: CurtainSolution, width: float, most: float) -> Figure:
     """The curtain in space, coloured by its line loads, with all forces on it."""
-    return draw_views([partial(space_view.draw_curtain, solution)], width)
+    return draw_views([partial(space_view.draw_curtain, solution)], width, most)
 
 
-def draw_views(views: Sequence[Draw], width: float) -> Figure:
-    """Views in space side by side, with the bar of colours and the legend below."""
+def draw_views(views: Sequence[Draw], width: float, most: float, captions: Sequence[str] = ()) -> Figure:
+    """Views in space side by side with their captions, the bar of colours and the legend below."""
     plotter = new_plotter(len(views))
     for panel, draw in enumerate(views):
         plotter.subplot(0, panel)
         draw(plotter)
-    return printed(plotter, width)
+    return printed(plotter, width, most, captions)
 
 
-def printed(plotter: Plotter, width: float) -> Figure:
-    """The panels of a plotter, which is closed, as a figure."""
-    figure, panels = compose(plotter, ""), len(plotter.renderers)
+def printed(plotter: Plotter, width: float, most: float, captions: Sequence[str] = ()) -> Figure:
+    """The panels of a plotter, which is closed, as a figure that is at most so high."""
+    figure = compose(plotter, "", captions, width / INCH)
     plotter.close()
-    for one in figure.legends:  # below the bar of colours, in one column where it is narrow
-        names, marks = [text.get_text() for text in one.get_texts()], [mark for mark in one.legend_handles if mark]
-        style: dict[str, Any] = {"frameon": False, "fontsize": WORDS, "handlelength": 1.0}
-        figure.legend(marks, names, loc="outside lower left", ncols=1 if panels == 1 else 3, **style)
-        one.remove()
-    figure.set_size_inches(width / INCH, (0.96 * width if panels == 1 else 0.9 * width / panels + 28.0) / INCH)
+    figure.set_figheight(min(figure.get_figheight(), most / INCH))
     return figure
 
 
@@ -341,7 +345,7 @@ def _number(ax: Axes, places: Array, off: Array) -> None:
 
 
 def _write(ax: Axes, at: Any, words: str, **style: Any) -> None:
-    ax.text(float(at[0]), float(at[1]), words, ha="center", va="center", **style)
+    ax.text(float(at[0]), float(at[1]), words, ha="center", va="center", **({"zorder": 9} | style))
 
 
 def _span(ax: Axes, start: Any, end: Any, words: str, **style: Any) -> None:

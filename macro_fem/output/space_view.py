@@ -29,9 +29,9 @@ SHARP = 35.0
 """Cells that meet at more degrees are drawn with the fold between them, others as one smooth surface."""
 LIGHT = np.array([0.12, -1.0, -0.25])
 """Direction of the light that throws the shadow: from the left, above and the front."""
-LONGEST, LEAST_ARROW = 0.16, 0.04
+LONGEST, LEAST_ARROW, ROUNDED = 0.16, 0.04, 1e-6
 """Length of the arrow of the largest force of its kind over the size of the scene; forces below this part of it have no
-arrow."""
+arrow; a kind whose largest one is below this part of that of all kinds is rounding, and has none."""
 SHRUNK, REACH = 0.003, 0.25
 """Obstacles are drawn smaller by this part of the size of the curtain, to see it on them, and cut off this far away."""
 
@@ -66,10 +66,11 @@ class PictureFrame:
         """The frame of one solution, or of all load steps."""
         each = [[forces(step) for step in steps] for _, _, forces, _ in FORCES]  # places and forces (n, 3)
         sizes = ([np.linalg.norm(force, axis=1).max(initial=0.0) for _, force in kind] for kind in each)
-        largest = tuple(float(max(kind)) for kind in sizes)
+        most = [float(max(kind)) for kind in sizes]
+        largest = tuple(one if one > ROUNDED * max(most) else 0.0 for one in most)
         room = box_of(np.concatenate([padded(step.corners) for step in steps]))
         size = float(np.linalg.norm(room[1] - room[0]))
-        arrow = tuple(LONGEST * size / max(most, 1e-300) for most in largest)
+        arrow = tuple(LONGEST * size / one if one else 0.0 for one in largest)
         ends = [
             at + way * length * force
             for (*_, way), length, kind in zip(FORCES, arrow, each, strict=True)

@@ -11,14 +11,18 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import macro_fem
+from homogenize import diagonal_net
 from macro_fem import Bar, Combination, Hooks, Mesh, PointLoad, Project, Rectangle, Scene, Track, solve
 from macro_fem.output import Chapter, Headline, PageTable, track_parts, write_pages
+from macro_fem.output.plans import printed
 from macro_fem.report import verdict_lines
 from macro_fem.scene import Curve, Line
 from rve import InputError
 from rve.common import digits
+from rve.common.drawing.space import FLAT, add, look, new_plotter, surface
 from tests.commands import run
 
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]\d+)?")
@@ -112,6 +116,10 @@ def test_arcs_straights_and_corners_of_a_track_are_told():
     assert [round(one.length) for one in parts] == [500, round(400.0 * math.pi / 2.0), 500, 600]
     assert [round(one.turn) for one in parts] == [0, 90, 0, 0]
     assert [round(one.corner) for one in parts] == [0, 0, 0, -90]
+    half = np.linspace(0.0, math.pi, 37)
+    rounded = Line(np.round(np.stack([1200.0 * np.cos(half), -1200.0 * np.sin(half)], axis=-1), 1))
+    (one,) = track_parts(Curve(rounded.arc[-1], 0.0, rounded))
+    assert one.radius == pytest.approx(1200.0, abs=0.05)  # points rounded to 0.1 mm; by their turns 1201 mm
     round_track = Curve(1000.0, 0.0, None, 500.0, 2.0)
     middle, end = round_track.at(np.array([500.0, 1000.0]))
     assert middle[2] > end[2]  # bulges towards the viewer: seen from above it turns to the left
@@ -194,6 +202,43 @@ def test_the_verdict_is_three_lines_that_say_what_the_summary_says():
     assert verdict_lines(unknown)[0].startswith("Only forces")
     taut = replace(summary, status="taut", message="too far")
     assert verdict_lines(taut)[0] == "No verdict, taut: too far"
+
+
+@pytest.mark.slow
+def test_a_factor_of_hooks_alone_is_one_of_at_most_and_told_as_such():
+    """A net without rings: its own strength is not known; forces of its hooks are those of its assumed stiffness."""
+    hooks = [Hooks(count=4, capacity=50.0, gather=0.95)]
+    summary = solve(Scene(Rectangle(300.0, 200.0, areal_mass=1.0), hooks, mesh=Mesh(cells=6)), diagonal_net()).summary
+    assert summary.holds
+    assert summary.governing_note.startswith("the strength of the mesh is not known: ")
+    assert verdict_lines(summary)[0].startswith("The curtain holds with a factor of at most ")
+    assert "ring" not in (summary.support_forces_note or "")
+
+
+def panels(size, count):
+    """A plotter of panels with a black sheet of this width and height in each."""
+    plotter, corners = (
+        new_plotter(count),
+        np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]]),
+    )
+    for panel in range(count):
+        plotter.subplot(0, panel)
+        add(plotter, "_ground", surface(corners * [*size, 0.0], np.array([[0, 1, 2, 3]])), "black", **FLAT)
+        look(plotter, (0.0, 0.0, -1.0))
+    return plotter
+
+
+def test_a_picture_of_a_page_is_as_high_as_what_is_seen_on_it():
+    """One panel and six in rows: nearly all of width and height is used; never more than a page."""
+    for size, count in (((1.0, 1.3), 1), ((1.0, 1.5), 6)):
+        figure = printed(panels(size, count), 87.0, 500.0)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        is_dark = np.asarray(canvas.buffer_rgba())[..., :3].max(axis=2) < 90
+        assert np.ptp(np.flatnonzero(is_dark.any(axis=0))) > 0.85 * is_dark.shape[1]
+        assert np.ptp(np.flatnonzero(is_dark.any(axis=1))) > 0.85 * is_dark.shape[0]
+        assert figure.get_figwidth() * 25.4 == pytest.approx(87.0)
+    assert printed(panels((1.0, 9.0), 1), 87.0, 100.0).get_figheight() * 25.4 == pytest.approx(100.0)
 
 
 def test_a_missing_typesetter_is_one_sentence_that_names_the_extra(monkeypatch, tmp_path):
