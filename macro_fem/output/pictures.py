@@ -68,7 +68,7 @@ class Pictures:
             scene.refuse(f"[load] steps = 1: there is nothing to animate; set steps = 10 or {NO_GIF}")
         report, dxf = ("report", ".pdf", "typst", "report"), ("dxf", ".dxf", "ezdxf", "cad")
         for name, ending, package, extra in (report, dxf):
-            path: Path | None = getattr(self, name)
+            path: Path | None = vars(self)[name]
             if path is not None:
                 require(package, extra, f"--{name}", "leave it out")
                 check_out_file(path, f"--{name}", inputs, (ending,))
