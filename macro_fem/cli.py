@@ -60,7 +60,7 @@ _goes_on = click.option(
     "--cell", metavar="R1,R2", help="Ask these rings for the law, radii in mm or inner=8,wire=1.6, where it is needed."
 )
 @renamed("--rings", "--cell R1,R2")
-@click.option("--weave", type=click.Choice(["4-in-1", "6-in-1"]), help="With --cell: weave.  [default: 4-in-1]")
+@click.option("--weave", help="With --cell: weave, by name or as a TOML file.  [default: 4-in-1]")
 @click.option(
     "--grain", type=click.Choice(["y", "x"]), help="With --cell: axis along which rings interlace.  [default: y]"
 )
@@ -69,6 +69,7 @@ _goes_on = click.option(
 @click.option("--no-cache", is_flag=True, help="Keep no tables of the rings, and read none.")
 @click.option("--report", type=PATH, help="Write a report, PDF (needs typst; in space pyvista).")
 @click.option("--dxf", type=PATH, help="Write the outline of the flat sheet (needs ezdxf).")
+@click.option("--limit", is_flag=True, help="Let rings flow, and judge by the limit of the curtain: kind = 'plastic'.")
 @click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
 @_goes_on
 def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: bool, **more: Any) -> None:
@@ -83,21 +84,22 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
     from macro_fem.scene.reading import load_scene
 
     files = {name: more.pop(name) for name in ("picture", "animation", "html", "report", "dxf")}
+    limit = more.pop("limit")
     asked = demand_options(law=law_path, **more)
     if load_scene(scene).motion is None:
         if goes_on:
             raise InputError(AT_REST)
         law = law_path if asked is None else None
         summary: Mapping[str, Any]
-        summary, failed = rest, _ = made(run_scene, scene, law, out, on_demand=asked, **files)
+        summary, failed = rest, _ = made(run_scene, scene, law, out, on_demand=asked, limit=limit, **files)
         say(*([] if asked else default_law_lines(law_path)), *curtain_lines(rest, out, explain=explain))
     else:
         from macro_fem.motion.files import run_motion
 
         if asked is not None:
             raise InputError("--table and --cell: a curtain in motion takes a law, by --law")
-        if any([explain, files.pop("dxf")]):
-            raise InputError("--explain and --dxf: are for a curtain at rest, not for a scene with [motion]")
+        if any([explain, limit, files.pop("dxf")]):
+            raise InputError("--explain, --limit and --dxf: are for a curtain at rest, not for a scene with [motion]")
         say(*default_law_lines(law_path))
         summary, failed = moved, _ = made(run_motion, scene, law_path, out, goes_on=goes_on, **files)
         say(*motion_lines(moved, out))
@@ -130,6 +132,7 @@ def _answer_or_go_on(summary: Mapping[str, Any], failed: NotDrawn | None, comman
 @click.option("--from", "low", type=float, required=True, help="Smallest value: mm, kg or m/s.")
 @click.option("--to", "high", type=float, required=True, help="Largest value.")
 @click.option("--factor", type=float, required=True, help="Factor with which the curtain is to hold.")
+@click.option("--limit", is_flag=True, help="The factor is that of the limit of the curtain, not of first yield.")
 @click.option("--out", type=PATH, help="Folder for size.json, size.csv and size.png; each answer is kept there.")
 @click.option("--picture/--no-picture", default=True, help="Draw size.png (needs matplotlib).")
 @click.option(
@@ -143,6 +146,7 @@ def size(scene: Path, law_path: Path | None, cell: str | None, out: Path | None,
     """
     from homogenize.fitting import interval_or_law
     from macro_fem.demand import demand_options
+    from macro_fem.job import with_flow
     from macro_fem.output.pictures import Pictures
     from macro_fem.scene.reading import load_scene
     from macro_fem.size import find_size
@@ -153,7 +157,8 @@ def size(scene: Path, law_path: Path | None, cell: str | None, out: Path | None,
         Pictures(picture, stem="size").check()
     on_demand = demand_options(cell, law_path)
     law = interval_or_law(law_path) if law_path is not None and on_demand is None else None
-    sought = Sought(load_scene(scene), on_demand or law, asked["vary"], asked["factor"])
+    hung = with_flow(load_scene(scene)) if asked["limit"] else load_scene(scene)
+    sought = Sought(hung, on_demand or law, asked["vary"], asked["factor"])
     found = find_size(sought, (asked["low"], asked["high"]), out=out, jobs=asked["jobs"])
     if out is not None:
         found.save(out, picture=picture)

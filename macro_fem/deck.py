@@ -75,6 +75,8 @@ def left_out(scene: Scene) -> Iterator[str]:
     yield from (name for name, value in tables.items() if value)
     if scene.solver.is_bounded:
         yield "[solver] bounds and adapt"
+    if scene.solver.is_plastic:
+        yield "[solver] kind = 'plastic'"
     if scene.mesh.element != "P1":
         yield f"[mesh] element = {scene.mesh.element!r}"
 

@@ -201,6 +201,7 @@ class Rings:
         question: dict[str, Any] = {"weave": cell.weave.name, "grain": cell.grain, "loads_deg": loads.tolist()}
         question |= {"cells": list(cell.cells), "centres": cell.centres, "r1_mm": cell.r1, "r2_mm": cell.r2}
         question |= {"material": asdict(cell.material), "versions": versions()}
+        question |= {} if cell.drawing is None else {"drawing": asdict(cell.drawing)}
         path = self.cache.path(question, ".csv")
         with suppress(InputError):  # none, or a damaged one
             if path is not None and (kept := read_table(path)).origin.notes.get("question") == question:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, overload
@@ -11,6 +11,7 @@ from homogenize import LawInterval, MembraneLaw, default_law, read_law_interval
 from homogenize.fitting import interval_or_law
 from macro_fem.answer import RECORD, Solution, read_job
 from macro_fem.bounds.interval import admissible_problem, levels
+from macro_fem.bounds.limit import limit_levels
 from macro_fem.curtain import CurtainSolution, make_problem, solve_problem
 from macro_fem.demand import OnDemand, solve_on_demand
 from macro_fem.membrane import MembraneSolution
@@ -19,12 +20,13 @@ from macro_fem.ring_summary import EveryRingSummary
 from macro_fem.rings import Comparison, EveryRing, EveryRingSolution, in_material, ring_scene
 from macro_fem.scene.checks import check_bounds, check_scene, check_sizes
 from macro_fem.scene.loads import meet
-from macro_fem.scene.meshing.mesh import build_mesh, columns
+from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, columns
 from macro_fem.scene.moving import scaled
 from macro_fem.scene.reading import load_scene
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import FACTORED, Combination, Load
+from macro_fem.solvers.status import COLLAPSED
 from macro_fem.summary import CurtainSummary
 from rve import Cell
 from rve.common import InputError, Progress, check_out_job, checked, heard_by, noted_if_stopped, part_of
@@ -102,7 +104,12 @@ def _coarser(answer: MembraneSolution, who: Who) -> CurtainSolution | None:
     where there is no need, or no such mesh has a node for each."""
     scene, cells = answer.scene, answer.scene.mesh.cells
     half = replace(scene, mesh=replace(scene.mesh, cells=max(1, cells // 2)))
-    if isinstance(who, OnDemand | EveryRing) or scene.solver.is_bounded or isinstance(scene.curtain, MeshFile):
+    if (
+        isinstance(who, OnDemand | EveryRing)
+        or scene.solver.is_bounded
+        or answer.limits
+        or isinstance(scene.curtain, MeshFile)
+    ):
         return None
     if not answer.are_hooks_open or columns(half) > 0.7 * columns(scene):
         return None
@@ -131,6 +138,8 @@ def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -
     scene, law = meet(scene, law)
     inner, law, outer = (law.inner, law.law, law.outer) if isinstance(law, LawInterval) else (law, law, None)
     check_sizes(scene, None if law.cell is None else law.cell.r1_mm)
+    if scene.solver.is_plastic:
+        return _solve_plastic(scene, law)
     if not scene.solver.is_bounded:
         return MembraneSolution(scene, tuple(_steps(scene, law, scene.load.steps)))
     steps = _steps(scene, inner, scene.load.steps)
@@ -138,6 +147,27 @@ def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -
         scene.refuse(f"[solver] bounds: need a converged curtain: {steps[-1].message}")
     bounds = tuple(levels(steps[-1], outer))
     return MembraneSolution(scene, (*steps[:-1], bounds[-1].solution), bounds)
+
+
+def _solve_plastic(scene: Scene, law: MembraneLaw) -> MembraneSolution:
+    """The curtain whose rings flow, its limit, and the curtain whose rings do not; that one alone where the loads are
+    beyond the limit."""
+    still = replace(scene, solver=replace(scene.solver, kind="auto", bounds=False, adapt=0))
+    pose, mesh, rigid = (
+        admissible_problem if scene.solver.is_bounded else make_problem,
+        build_mesh(scene, law.cell),
+        None,
+    )
+    limits = tuple(limit_levels(pose(scene, law, mesh)))
+    with suppress(InputError):  # supports out of reach of rings that lock
+        rigid = MembraneSolution(still, tuple(_steps(still, law, scene.load.steps)))
+    if not limits[-1].is_passed:
+        steps = _steps(scene, law, scene.load.steps, limits[-1].problem.mesh)
+    elif rigid is None:
+        scene.refuse(f"[load]: {COLLAPSED}; limit_factor = {limits[-1].factor:.4g}")
+    else:
+        steps = [replace(rigid.loaded, stop="collapsed")]
+    return MembraneSolution(scene, tuple(steps), limits=limits, rigid=rigid)
 
 
 def solve_every_ring(scene: Scene, who: EveryRing) -> EveryRingSolution:
@@ -156,6 +186,10 @@ def solve_every_ring(scene: Scene, who: EveryRing) -> EveryRingSolution:
 
 def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
     """The curtain by a law that is asked of the rings; earlier load steps by the law found at full load."""
+    if scene.solver.is_plastic:
+        scene.refuse(
+            "[solver] kind = 'plastic': needs a law, by --law, with the strength of its rings (rve table --rings)"
+        )
     check_sizes(scene, who.cell.r1)
     who = replace(who, cell=in_material(scene, who.cell))
     bounded = replace(scene, solver=replace(scene.solver, bounds=True))
@@ -173,9 +207,9 @@ def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
     return MembraneSolution(bounded, (*early, found.level.solution), (found.level,), found)
 
 
-def _steps(scene: Scene, law: MembraneLaw, last: int) -> list[CurtainSolution]:
+def _steps(scene: Scene, law: MembraneLaw, last: int, mesh: CurtainMesh | None = None) -> list[CurtainSolution]:
     """The curtain at load steps 1 to `last`, each from the one before; for bounds it obeys the law everywhere."""
-    mesh, count = build_mesh(scene, law.cell), scene.load.steps
+    mesh, count = build_mesh(scene, law.cell) if mesh is None else mesh, scene.load.steps
     pose = admissible_problem if scene.solver.is_bounded else make_problem
     steps: list[CurtainSolution] = []
     for step in range(1, last + 1):
@@ -191,16 +225,23 @@ def _steps(scene: Scene, law: MembraneLaw, last: int) -> list[CurtainSolution]:
 
 
 def run_scene(
-    scene_path: Path, law_path: Path | None, out: Path, *, on_demand: OnDemand | None = None, **files: Any
+    scene_path: Path,
+    law_path: Path | None,
+    out: Path,
+    *,
+    on_demand: OnDemand | None = None,
+    limit: bool = False,
+    **files: Any,
 ) -> CurtainSummary:
     """Solve the scene in a file by a law, or by rings `on_demand`, write its files into `out`; the summary.
 
-    `files`: `picture`, `animation` and `html` as of `Solution.save`, and paths of a `report` (PDF) and of the outline
-    as `dxf`. InputError, before anything is solved or written, for a scene that cannot be read or is contradictory, and
-    for pictures and files that cannot be made; later, if there is no solution. NotDrawn, when all else is in place, for
-    pictures and a report that fail.
+    limit: rings flow, whatever the scene says. `files`: `picture`, `animation` and `html` as of `Solution.save`, and
+    paths of a `report` (PDF) and of the outline as `dxf`. InputError, before anything is solved or written, for a
+    scene that cannot be read or is contradictory, and for pictures and files that cannot be made; later, if there is
+    no solution. NotDrawn, when all else is in place, for pictures and a report that fail.
     """
     wanted, scene = Pictures(**files), load_scene(scene_path)
+    scene = with_flow(scene) if limit else scene
     known = on_demand.known if on_demand and isinstance(on_demand.known, Path) else None
     inputs = [scene_path, law_path, known, scene.sheet_file]
     check_out_job(out, RECORD, inputs=inputs)
@@ -216,6 +257,11 @@ def run_scene(
         drawings[str(wanted.report.absolute())] = lambda path: found.write_report(path, inputs)
     draw_all(out, RECORD, found.summary, drawings, inputs)
     return found.summary
+
+
+def with_flow(scene: Scene) -> Scene:
+    """The scene with rings that flow."""
+    return replace(scene, solver=replace(scene.solver, kind="plastic"))
 
 
 def run_rings(

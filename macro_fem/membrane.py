@@ -13,6 +13,7 @@ import numpy as np
 
 from macro_fem.answer import Solution
 from macro_fem.bounds.interval import CurtainBounds
+from macro_fem.bounds.limit import CurtainLimit
 from macro_fem.curtain import CurtainSolution, forces_note, with_forces
 from macro_fem.judged import (
     change_of_forces,
@@ -54,7 +55,8 @@ if TYPE_CHECKING:
 class MembraneSolution(Solution):
     """A solved scene: the curtain at each of the load `steps`; `levels` of a scene that asks for bounds, each a finer
     mesh than the one before; `demand` of one whose law was asked of the rings; the answers to `combinations` of loads;
-    the curtain on a `coarser` mesh, where forces of single hooks are compared.
+    the curtain on a `coarser` mesh, where forces of single hooks are compared. Of rings that flow the `limits`, each
+    on a finer mesh than the one before, and the answer of rings that do not, `rigid`, None where there is none.
     """
 
     scene: Scene
@@ -63,6 +65,8 @@ class MembraneSolution(Solution):
     demand: Demand | None = None
     combinations: tuple[tuple[Combination, MembraneSolution], ...] = ()
     coarser: CurtainSolution | None = None
+    limits: tuple[CurtainLimit, ...] = ()
+    rigid: MembraneSolution | None = None
 
     @property
     def solution(self) -> CurtainSolution:
@@ -77,7 +81,7 @@ class MembraneSolution(Solution):
     @property
     def are_hooks_open(self) -> bool:
         """Whether balance leaves forces of a row of hooks or runners open."""
-        is_solved = self.solution.status == Status.CONVERGED
+        is_solved = self.solution.status == Status.CONVERGED and not self.limits
         return bool(is_solved and self.solution.problem.mesh.hooks) and forces_note(self.loaded) is not None
 
     @property
@@ -93,6 +97,9 @@ class MembraneSolution(Solution):
         rows, most = tuple[CombinationRow, ...](), None
         if self.levels:
             bounds = files.interval_summary(self.levels)
+        if self.limits:
+            rigid = None if self.rigid is None or self.rigid.solution.status != "converged" else self.rigid.loaded
+            numbers = files.with_limit(numbers, self.limits[-1], self.loaded, rigid)
         if (demand := self.demand) is not None:
             asked, wall_s = demand.asked(), demand.turns[-1].wall_s
             numbers = replace(numbers, status=demand.status, message=demand.message, wall_s=wall_s)

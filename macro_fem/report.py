@@ -11,7 +11,7 @@ from macro_fem.curtain import CurtainSolution
 from macro_fem.judged import asked_of_rings, first_of_largest, links
 from macro_fem.output import plans
 from macro_fem.output.report_pages import GAP, HIGH, PAGE, Chapter, Headline, PageTable, Picture, write_pages
-from macro_fem.output.told import lean_note, loads_in_words
+from macro_fem.output.told import lean_note, limit_line, loads_in_words
 from macro_fem.scene.support_kinds import Track
 from macro_fem.scene.tables import in_3d
 from macro_fem.summary import CombinationRow, CurtainSummary, SupportForce
@@ -362,6 +362,7 @@ def _further(summary: CurtainSummary) -> list[Chapter]:
 def _limits(summary: CurtainSummary) -> Chapter:
     """Assumptions and limits in words: those of every answer, and those of this one."""
     own = [
+        limit_line(summary),
         summary.governing_note,
         summary.support_forces_note,
         summary.single_forces_note,

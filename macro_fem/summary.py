@@ -151,13 +151,33 @@ class RingStrength(Utilisation):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Limit(Table):
+    """The limit of a curtain whose rings flow: factors on all loads, and where they flow under the loads as they
+    are."""
+
+    limit_factor: float | None = None
+    limit_interval: Numbers | None = None
+    limit_of_points: float | None = None
+    limit_note: str | None = None
+    plastic_area_share: float | None = None
+    largest_plastic_strain: float | None = None
+    largest_plastic_strain_at_mm: Numbers | None = None
+
+    @property
+    def limit_of_mesh(self) -> float | None:
+        """The lower end of the interval, or the factor of the mesh where that is 0 as cells at points are too large."""
+        return (self.limit_interval[0] or self.limit_factor) if self.limit_interval else None
+
+
+@dataclass(frozen=True, kw_only=True)
 class RingSizes(Table):
-    """Rings of a law, and sides of their reference cell."""
+    """Rings of a law, sides of their reference cell, and the rings of a weave that is not in the catalogue."""
 
     r1_mm: float
     r2_mm: float
     b_x_mm: float
     b_y_mm: float
+    drawing: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -347,6 +367,7 @@ class CombinationRow(Table):
     weakest_factor: float | None
     weakest_place: str | None
     utilisation_too_low: str | None
+    limit_factor: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -374,6 +395,7 @@ class Envelope(Table):
     utilisation_too_low: str | None
     support_forces: tuple[LargestForce, ...]
     support_sums: tuple[LargestForce, ...]
+    limit_factor: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -439,7 +461,7 @@ class LoadStep(Table):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class CurtainNumbers(HungSheet, WeaveOfLaw, Solved, Bearing, RingStrength, LineLoads, HungShape, Summary):
+class CurtainNumbers(HungSheet, WeaveOfLaw, Solved, Bearing, Limit, RingStrength, LineLoads, HungShape, Summary):
     """The numbers of a curtain, whatever it was solved for."""
 
 

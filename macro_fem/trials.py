@@ -240,7 +240,7 @@ def answer_of(scene: Scene, who: Who) -> dict[str, Any]:
     """Fields of the `Row` of a scene; its own combinations, if it has any, govern."""
     try:
         found: Any = solve(scene, who) if isinstance(who, OnDemand) else solve_membrane(scene, who)
-        return _fields(found.summary) if found.status == "converged" else {"status": str(found.message)}
+        return _fields(found.summary) if found.status in ("converged", "collapsed") else {"status": str(found.message)}
     except InputError as error:
         return {"status": str(error)}
 

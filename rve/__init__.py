@@ -9,7 +9,7 @@ __getattr__, __dir__, __all__ = attach_root(
         "rve.directions": "LoadDirections read_loads",
         "rve.finite": "FiniteOptions FiniteSolution HalfSpace RingContacts RingStep RoundBody cell_of_sides "
         "ring_places slack_rings step_rings with_bodies",
-        "rve.geometry": "Weave cauchy_line_load cauchy_of deformation_gradient green_lagrange load_angles second_pk",
+        "rve.geometry": "cauchy_line_load cauchy_of deformation_gradient green_lagrange load_angles second_pk",
         "rve.placed": "CellForces DrawnRings Fit LockedArrangements NEAR NearestPoses POSE_MEANINGS axes_of_weave "
         "cell_forces fit_rings largest_forces locked_arrangements nearest_poses offsets reference_shares",
         "rve.support_function": "SupportValue",

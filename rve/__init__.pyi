@@ -8,6 +8,8 @@ from .directions import grid as grid
 from .finite import FiniteMesh as FiniteMesh
 from .geometry import WEAVES as WEAVES
 from .geometry import Cell as Cell
+from .geometry import Weave as Weave
+from .geometry import read_weave as read_weave
 from .locking.interior_point import DirectOptions as DirectOptions
 from .piece import Piece as Piece
 from .simulation import LoadHistory as LoadHistory

@@ -1,4 +1,4 @@
-"""Command line: `python -m rve table`, `case`, `support`, `ring`, `export`, `simulate`, `sweep`, `study`.
+"""Command line: `python -m rve table`, `case`, `support`, `ring`, `weaves`, `export`, `simulate`, `sweep`, `study`.
 
 How commands end: `rve.common.commands.command_line`.
 """
@@ -6,6 +6,7 @@ How commands end: `rve.common.commands.command_line`.
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,14 +27,14 @@ from rve.common.cell_fields import Joint, check_ring_size
 from rve.common.commands.command_line import Group, answer, check_plot, options, parse_load, say, say_next
 from rve.common.commands.sweeps import SweepItem, further_options, run_sweep, sweep_options
 from rve.common.materials import MATERIALS, material_of
-from rve.common.ring_sizes import DEFAULT_RING, RING_SIZES, radii_of, ring_sizes, ring_words
+from rve.common.ring_sizes import RING_SIZES, radii_of, ring_sizes, ring_words
 from rve.common.typed import BadField
 
 MOST_TABLES = 10_000
 FIT_FROM = 10
 """Rows from which a law is offered."""
 
-WEAVE_NAMES = ("4-in-1", "6-in-1")
+WEAVE_NAMES = ("4-in-1", "6-in-1", "8-in-1", "japanese-4-in-1", "japanese-6-in-1")
 """The names in `rve.geometry.weave.WEAVES`, which NumPy need not be imported for."""
 
 FILE = click.Path(dir_okay=False, path_type=Path)
@@ -72,7 +73,9 @@ cell_options = options(
     click.option("--poisson", type=float, help="Poisson's ratio, without unit; by default the material's."),
     click.option("--yield", type=float, help="Yield stress in N/mm2; by default the material's."),
     click.option("--ultimate", type=float, help="Ultimate stress in N/mm2; by default the material's."),
-    _choice("--weave", *WEAVE_NAMES, text="Weave."),
+    click.option(
+        "--weave", default=WEAVE_NAMES[0], show_default=True, help=f"{', '.join(WEAVE_NAMES)}, or a TOML file."
+    ),
     grain_option,
 )
 larger_options = options(
@@ -90,10 +93,11 @@ branch_options = options(
 def asked_cell(grain: Any, weave: str, cells: str = "1x1", centres: Any = "plane", **ring: Any) -> Any:
     """The cell asked for; InputError for rings that no mesh has."""
     from rve.geometry.cell import Cell
-    from rve.geometry.weave import WEAVES
+    from rve.geometry.weave import named_weave, sizes_of
 
+    asked = named_weave(weave)
     sizes = {name: ring.pop(name) for name in RING_SIZES}
-    r1, r2 = radii_of(sizes, "--", DEFAULT_RING)
+    r1, r2 = radii_of(sizes, "--", sizes_of(weave))
     check_ring_size(r1, "--r1" if sizes["r1"] else "r1")
     metal = material_of(ring, prefix="--")
     try:
@@ -101,7 +105,7 @@ def asked_cell(grain: Any, weave: str, cells: str = "1x1", centres: Any = "plane
     except ValueError:
         raise InputError(f"--cells = {cells}: write two numbers, such as 2x2") from None
     try:
-        return Cell(r1, r2, WEAVES[weave], grain, metal.density_kg_per_mm3, metal, (nx, ny), centres)
+        return Cell(r1, r2, asked, grain, metal.density_kg_per_mm3, metal, (nx, ny), centres)
     except BadField as error:
         raise InputError(f"{'' if sizes['r2'] is None else '--'}{error.what}") from None
 
@@ -398,7 +402,7 @@ def table_items(
     items = []
     for name, (big, small) in itertools.product(weave, rings):
         r1_text, r2_text = (repr(float(one)).removesuffix(".0") for one in (big, small))  # another name for each number
-        table = out.resolve() / f"{name}_{grain}_r1-{r1_text}_r2-{r2_text}.csv"
+        table = out.resolve() / f"{Path(name).name.removesuffix('.toml')}_{grain}_r1-{r1_text}_r2-{r2_text}.csv"
         asked = ("--weave", name, "--grain", grain, "--r1", repr(big), "--r2", repr(small))
         arguments = ("table", "--out", str(table), *asked, *further)
         items.append(SweepItem(table.stem, "rve", arguments, sidecar_path(table)))
@@ -412,6 +416,34 @@ def table_columns(record: Mapping[str, Any]) -> dict[str, Any]:
     converged = rows.get("converged", 0)
     counts = {"rows_converged": converged, "rows_other": sum(rows.values()) - converged}
     return {name: record.get(name, "") for name in names} | counts
+
+
+@main.command(epilog="Example: rve weaves --r1 6 --r2 0.6")
+@cell_options
+def weaves(weave: str, **rest: Any) -> None:
+    """Print the weaves of the catalogue, with the one of --weave where that is a file: rings of a cell, least r1/r2 and
+    aspect ratio (inner diameter over wire), and mass and rings per area where such rings make a mesh."""
+    from rve.geometry.weave import WEAVES, named_weave
+    from rve.solve import reference_cell
+
+    rows = []
+    for name in dict.fromkeys((*WEAVES, weave)):
+        one = named_weave(name)
+        row = {"weave": one.name, "rings_a_cell": one.classes, "sizes": len({*zip(one.radii, one.wires, strict=True)})}
+        row |= {"least_r1_over_r2": one.jamming_ratio, "least_aspect_ratio": one.jamming_ratio - 1.0}
+        with suppress(InputError):  # wire that is too thick for this weave
+            info = reference_cell(asked_cell(weave=name, **rest))
+            row |= {"areal_mass_kg_per_m2": info.areal_mass_kg_per_m2, "b_x_mm": info.b_x_mm, "b_y_mm": info.b_y_mm}
+            row |= {"rings_per_m2": 1e6 * one.classes / (info.b_x_mm * info.b_y_mm)}
+        rows.append(row)
+    names = max(len(str(row["weave"])) for row in rows)
+    lines = [f"{'weave':{names}}  rings  least r1/r2    AR  kg/m2  rings/m2"]
+    for row in rows:
+        mass, count = row.get("areal_mass_kg_per_m2"), row.get("rings_per_m2")
+        there = "  too thick" if mass is None else f"  {mass:5.2f}  {count:8.0f}"
+        sizes = f"{row['rings_a_cell']:5d}  {row['least_r1_over_r2']:11.3f}  {row['least_aspect_ratio']:4.2f}"
+        lines.append(f"{row['weave']:{names}}  {sizes}{there}")
+    answer({"weaves": rows}, "\n".join(lines))
 
 
 @main.command(epilog="Example: rve study --out study")

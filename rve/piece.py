@@ -70,7 +70,8 @@ class Piece:
             if states.found.status[0] != "converged":
                 raise NotConverged(f"alpha = {load[0]:g}, beta = {load[1]:g}: {SENTENCES[str(states.found.status[0])]}")
             pose = states.found.pose
-        found = [find_contacts(pose, pairs, cell.wire, REACH) for pairs in (weave, unlisted_pairs(weave))]
+        patterns = weave, unlisted_pairs(weave)
+        found = [find_contacts(pose, pairs, cell.wire, REACH) for pairs in patterns]
         gap = cell.r1 * min(float(contacts.min_gap[0]) for contacts in found)
         if clearance is not None and not 0.0 <= clearance < np.inf:
             raise InputError(f"clearance = {clearance:g}: is no length in mm")
@@ -79,14 +80,17 @@ class Piece:
                 apart = digits(gap + 2.0 * cell.r2)
                 what = f"leaves no wire, since centre lines of rings are only {apart} mm apart"
                 raise InputError(f"clearance = {clearance:g}: {what}; ask for less, or for larger rings")
-            cell, gap = replace(cell, r2=cell.r2 - 0.5 * (clearance - gap)), clearance
+            both = zip(found, patterns, strict=True)
+            rooms = [(cell.r1 * one.distance[0] - clearance) / pairs.pair_wires[:, None] for one, pairs in both]
+            cell, gap = replace(cell, r2=float(min(room.min(initial=np.inf) for room in rooms))), clearance
         index, centre, normal, half = _whole_rings(cell, weave, pose, size)
         fit = fit_rings(index, centre, normal, cell)
         if not all(contacts.links_intact[0] for contacts in found) or fit.linked < fit.links:
             raise InputError(f"{weave.name}: rings of this pose do not interlink as the weave says")
         low, high = (centre - half).min(axis=0), (centre + half).max(axis=0)
         width, height, thickness = (high - low).tolist()
-        rings = DrawnRings(centre - low, normal, cell.r1, cell.r2)
+        kind = index[:, 0]
+        rings = DrawnRings(centre - low, normal, cell.r1 * weave.radii[kind], cell.r2 * weave.wires[kind])
         least = min(gap, float(fit.gap_mm.min()))
         return cls(cell, rings, (width, height, thickness), least, fit.links)
 
@@ -101,7 +105,8 @@ class Piece:
         """Its numbers, with units in their names."""
         count = len(self.rings.centre)
         numbers = {"rings": count, "links": self.links, "clearance_mm": self.clearance_mm, "size_mm": self.size_mm}
-        mass = {"mass_kg": count * self.cell.ring_mass}
+        relative = float((np.asarray(self.rings.r1) * np.asarray(self.rings.r2) ** 2).sum())
+        mass = {"mass_kg": self.cell.ring_mass * relative / (self.cell.r1 * self.cell.r2**2)}
         return {"weave": self.cell.weave.name, **ring_sizes(self.cell.r1, self.cell.r2), **numbers, **mass}
 
     def __str__(self) -> str:
@@ -128,7 +133,8 @@ def _whole_rings(cell: Cell, weave: Weave, pose: Pose, size: tuple[float, float]
     centres, normals = cell.r1 * pose.centres[0], pose.normals[0].copy()
     centres = np.pad(centres, ((0, 0), (0, 3 - centres.shape[1])))
     centres[:, :2], normals[:, :2] = centres[:, :2] @ axes.T, normals[:, :2] @ axes.T
-    half = cell.r1 * np.sqrt(1.0 - np.minimum(normals**2, 1.0)) + cell.r2
+    half = cell.r1 * weave.radii[:, None] * np.sqrt(1.0 - np.minimum(normals**2, 1.0))
+    half += cell.r2 * weave.wires[:, None]
     corners = np.array([[x, y] for x in (-1.0, 1.0) for y in (-1.0, 1.0)]) * size
     most = np.ceil(np.abs(corners @ np.linalg.inv(lattice)).max(axis=0)).astype(int) + 2
     if weave.classes * float(np.prod(2.0 * most + 1.0)) > 8.0 * MOST_RINGS:
@@ -170,11 +176,12 @@ def ring_facts(cell: Cell) -> dict[str, Any]:
     states = {"slack": np.concatenate(slack), "pulled_along_grain": pulled[0], "pulled_across_grain": pulled[1]}
     weave, inner = cell.weave, 2.0 * (cell.r1 - cell.r2)
     count, mesh = weave.classes / (weave.repeat[0] * weave.repeat[1]), {}
+    mean = cell.ring_mass * float(weave.masses.mean())
     for name, axes in states.items():
         area, grain = abs(float(np.linalg.det(axes))), float(axes[1, 1] if cell.grain == "y" else axes[0, 0])
         numbers = {"cells_per_m_along_grain": 1e3 / grain, "cells_per_m_across_grain": 1e3 * grain / area}
         rings = 1e6 * count / area
-        mesh[name] = numbers | {"rings_per_m2": rings, "mass_kg_per_m2": rings * cell.ring_mass}
+        mesh[name] = numbers | {"rings_per_m2": rings, "mass_kg_per_m2": rings * mean}
     return {
         "weave": weave.name,
         **ring_sizes(cell.r1, cell.r2),

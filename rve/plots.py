@@ -27,7 +27,7 @@ def drawn_rings(states: LockedStates, k: int) -> DrawnRings:
     flat = pose.centres[0, k, :2] + at @ np.concatenate([pose.a1, pose.a2])
     centre = np.pad(swapped(cell.r1 * flat, cell), ((0, 0), (0, 1)))
     normal = np.tile(swapped(pose.normals[0, k], cell), (len(flat), 1))
-    return DrawnRings(centre, normal, cell.r1, cell.r2)
+    return DrawnRings(centre, normal, cell.r1 * cell.weave.radii[k], cell.r2 * cell.weave.wires[k])
 
 
 def contacts_in_mm(states: LockedStates) -> tuple[Array, Array, Array]:
@@ -35,11 +35,14 @@ def contacts_in_mm(states: LockedStates) -> tuple[Array, Array, Array]:
     (m,) in units of s r1."""
     cell, pose, contacts, lam = states.cell, states.pose, states.found.contacts, states.found.lam[0]
     drawn, lattice = {tuple(ring) for ring in cell.weave.rings.tolist()}, np.concatenate([pose.a1, pose.a2])
-    rho = contacts.rho[0] + contacts.rho_b[0] + pair_geometry(pose, cell.weave)[0][0][:, None]
+    wires = cell.weave.wires[cell.weave.pairs[:, :2]]
+    share = (wires[:, 0] / wires.sum(axis=1))[:, None, None]  # of the way between both centre circles
+    rho = (1.0 - share) * contacts.rho[0]
+    rho += share * (contacts.rho_b[0] + pair_geometry(pose, cell.weave)[0][0][:, None])
     rows = []
     for p, slot in np.argwhere(contacts.present[0] & (lam >= 1e-6)):
         a, b, i, j = cell.weave.pairs[p].tolist()
-        point, normal = pose.centres[0, a, :2] + 0.5 * rho[p, slot, :2], contacts.normal[0, p, slot, :2]
+        point, normal = pose.centres[0, a, :2] + rho[p, slot, :2], contacts.normal[0, p, slot, :2]
         shifts = [(di, dj) for ring, di, dj in drawn if ring == a and (b, di + i, dj + j) in drawn]
         rows += [[*cell.r1 * (point + np.array(shift) @ lattice), *normal, lam[p, slot]] for shift in shifts]
     table = np.array(rows).reshape(-1, 5)

@@ -13,13 +13,13 @@ from rve.directions import grid
 from rve.geometry.cell import Cell, CellInfo, weave_axes
 from rve.geometry.contacts import unlisted_gap
 from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
-from rve.geometry.pose import Pose
+from rve.geometry.pose import Pose, mirror_modes
 from rve.locking.dead_load import DeadLoad, LoadedCell, solve_dead
 from rve.locking.global_search import in_cell, sample_states
 from rve.locking.interior_point import DirectOptions, Equilibrium, LockedStates, solve_equilibrium
 from rve.locking.limits import with_limits
 from rve.locking.relaxation import MIXTURE, RowStates, largest_rows
-from rve.locking.system import Equations, mirror_modes
+from rve.locking.system import Equations
 from rve.table import Origin, RowQuality, StrainTable
 
 BLOCK = 512
@@ -76,7 +76,9 @@ def reference_pose(cell: Cell, options: DirectOptions) -> Pose:
     """The pose (n = 1) of the reference cell, see `reference_sides`. Raises NotConverged."""
     modes = mirror_modes(cell.weave) if cell.weave.is_mirrored else None
     along = np.array([[0.0, 0.0, 1.0]])
-    found = mark_unlisted(solve_equilibrium(along, Equations.of(cell.weave, cell.wire, modes), options), cell)
+    equations = Equations.of(cell.weave, cell.wire, modes)
+    # Rings joined along x and y one by one leave b_x free: it is that of the least pull across.
+    found = mark_unlisted(with_limits(along, equations, solve_equilibrium(along, equations, options), options)[0], cell)
     if options.reference == "locked" and found.status[0] == "converged":
         # The work of this load is that of its length along the grain, whatever the sides.
         longest = Equations.of(cell.weave, cell.wire, load=DeadLoad((1.0, 1.0)))

@@ -63,7 +63,7 @@ def forced(name: str, cell: Cell, plain: tuple[Equilibrium, float], s: Array) ->
 def met_row(name: str, cell: Cell, found: Equilibrium) -> Row:
     """What the solver met: pairs in reach, distance of unlisted pairs."""
     offset = pair_geometry(found.pose, cell.weave)[0]
-    near = contacts.can_touch(offset, 2.0 * cell.wire + REACH).sum(axis=1)
+    near = contacts.can_touch(offset, 2.0 + 2.0 * cell.wire + REACH).sum(axis=1)
     row = {"cell": name, "converged": (found.status == "converged").sum()}
     row |= {"listed pairs in reach": f"{near.min()} to {near.max()} of {len(cell.weave.pairs)}"}
     return row | {GAP: contacts.unlisted_gap(found.pose, cell.weave, cell.wire).min()}

@@ -11,6 +11,10 @@ from .net import NetLaw as NetLaw
 from .net import diagonal_net as diagonal_net
 from .net import ring_cell as ring_cell
 from .net import ring_net as ring_net
+from .plastic import LimitSurface as LimitSurface
+from .plastic import PlasticLaw as PlasticLaw
+from .plastic import limit_surface as limit_surface
+from .plastic import plastic_law as plastic_law
 from .polyhedral import GivingLaw as GivingLaw
 from .polyhedral import PolyhedralLaw as PolyhedralLaw
 from .polyhedral import giving_law as giving_law

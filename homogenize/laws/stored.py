@@ -147,6 +147,11 @@ class Law(MembraneLaw):
     __repr__ = __str__
 
 
+def known(record: dict[str, Any], key: str) -> dict[str, Any]:
+    """The record without this key where it has no value."""
+    return record if record[key] is not None else {name: value for name, value in record.items() if name != key}
+
+
 def parameters_of(cls: type[Law]) -> dict[str, Any]:
     """The fields of a law besides those that all laws have, with their types."""
     return {name: kind for name, kind in types_of(cls).items() if name not in types_of(Law)}
@@ -162,7 +167,7 @@ def law_record(law: Law) -> dict[str, Any]:
         "kind": law.name,
         **({} if plugin is None else {"plugin": plugin}),
         "units": UNITS,
-        "cell": None if law.cell is None else asdict(law.cell),
+        "cell": None if law.cell is None else known(asdict(law.cell), "drawing"),
         "parameters": law.to_dict(),
         "stiffness_is_measured": law.stiffness_is_measured,
         **({} if law.strength is None else {"strength": law.strength.to_dict()}),

@@ -99,7 +99,11 @@ class Strength(Rows):
 
     def collapse_utilisation(self, S: Array, yield_N_per_mm2: float | None = None) -> Array:
         """Line loads S (n, 3) in N/mm over those at which rings collapse plastically, (n,); see `utilisation`."""
-        return self._needed_yield(S, self.collapse) / self.yield_stress(yield_N_per_mm2)
+        return self.collapse_at(S) / self.yield_stress(yield_N_per_mm2)
+
+    def collapse_at(self, S: Array) -> Array:
+        """The yield stress (n,) in N/mm2 with which line loads S (n, 3) in N/mm are those of collapse."""
+        return self._needed_yield(S, self.collapse)
 
     def compliance_along(self, S: Array) -> Array:
         """S:D S in mm/N at unit trace, (n,), of the directions of S (n, 3): strain beyond locking along S per N/mm.

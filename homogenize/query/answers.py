@@ -8,6 +8,8 @@ import numpy as np
 
 from homogenize.directions import beyond, hull_of, limits_of
 from homogenize.io import load_law
+from homogenize.laws.plastic import limit_surface
+from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.rows import LockedRows, with_mirror
 from homogenize.laws.strength import MAKE_AGAIN
 from homogenize.query.strain import locked_strain
@@ -62,7 +64,8 @@ def support_answer(path: str | Path, S: Array) -> dict[str, Any]:
 
 
 def strength_answer(path: str | Path, S: Array, yield_N_per_mm2: float | None = None) -> dict[str, Any]:
-    """The line loads S (3,) of unit trace times which the rings of a law first yield and collapse.
+    """The line loads S (3,) of unit trace times which the rings of a law first yield and collapse, and leave the convex
+    set inside of the collapse loads and their hull, with the largest ratio of both over all directions.
 
     InputError if the law has no strength, S is not tensile, or no yield stress is known.
     """
@@ -78,11 +81,17 @@ def strength_answer(path: str | Path, S: Array, yield_N_per_mm2: float | None = 
         compliance = float(strength.compliance_along(unit)[0])
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+    limits: dict[str, float | None] = dict.fromkeys(("safe_N_per_mm", "hull_N_per_mm", "hull_over_safe_max"))
+    if isinstance(law, PolyhedralLaw):
+        surface = limit_surface(law)
+        safe, hull = (stress * float(one[0]) for one in surface.loads(unit))
+        limits = dict(zip(limits, (safe, hull, surface.difference), strict=True))
     return {
         **components("S{}", unit[0]),
         "yield_N_per_mm2": stress,
         "first_yield_N_per_mm": float(1.0 / used[0]),
         "collapse_N_per_mm": float(1.0 / used[1]),
+        **limits,
         "compliance_mm_per_N": compliance,
         "error_between_rows": None if strength.error is None else asdict(strength.error),
         "material": strength.material.name,

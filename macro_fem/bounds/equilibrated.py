@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from macro_fem.curtain import CurtainProblem, CurtainSolution
+from macro_fem.curtain import CurtainProblem
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import Discretization, discretize
@@ -94,11 +94,11 @@ class DualProblem:
     walls: Walls
 
 
-def dual_problem(solution: CurtainSolution, near_slack: Array) -> DualProblem:
-    """The hybrid problem that belongs to a P1 solution; edges at single held points are held at `near_slack`
+def dual_problem(problem: CurtainProblem, near_slack: Array) -> DualProblem:
+    """The hybrid problem that belongs to one in P1; edges at single held points are held at `near_slack`
     (n_nodes, d), positions of its nodes.
     """
-    problem, d = solution.problem, solution.problem.fem.d
+    d = problem.fem.d
     scene, given, mesh = problem.scene, problem.supports, problem.mesh
     disc, facets = dual_disc(mesh), mesh.mesh.facets
     force, cost = dead_and_live(problem, disc)

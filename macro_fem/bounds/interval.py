@@ -130,7 +130,7 @@ def _solve(solution: CurtainSolution, inward: float) -> tuple[DualProblem, PathR
     `inward`. The P1 part of a P2 curtain may leave the law by more than that where points are close.
     """
     problem, x = solution.problem, at_dual_nodes(slackened(solution, inward), solution.problem.mesh)
-    dual = dual_problem(solution, x)
+    dual = dual_problem(problem, x)
     path = replace(PATH_OF_BOUNDS, max_iterations=problem.scene.solver.max_iterations, cones=solution.cones)
     load, start, terms = dual.fem.gather(dual.force), dual.fem.unknowns(x), Terms(walls=dual.walls)
     return dual, solve_path(dual.fem, problem.law, load, start, problem.mesh.size, path, terms)

@@ -5,6 +5,7 @@ from .problem import kept_outside as kept_outside
 from .problem import make_problem as make_problem
 from .problem import placed_obstacles as placed_obstacles
 from .problem import stabilising_tension as stabilising_tension
+from .problem import strength_at_points as strength_at_points
 from .problem import tangent_walls as tangent_walls
 from .problem import touching_walls as touching_walls
 from .shape import ShapeOptions as ShapeOptions

@@ -12,7 +12,7 @@ from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.cells import padded
 from macro_fem.scene.obstacles import PlacedObstacle
 from macro_fem.scene.support_kinds import Track
-from macro_fem.solvers.cones import Cones, green_strain, least_slack
+from macro_fem.solvers.cones import Cones, all_cuts, green_strain, least_slack
 from macro_fem.solvers.status import FREE, ROUNDING, Evidence, Judged, Reach, Settling, Verdict, judged, load_scale
 from rve.common import Array
 
@@ -26,7 +26,8 @@ class CurtainSolution(CurtainState, Judged):
     exceed, `reach` how much farther apart the supports could be, `relaxation` by how much the law was relaxed, whose
     bounds primal and dual then are; None for the law as it is. `second_step`: whether forces are those of elastic rings
     by a second step, and why; None where that is no question. `settling`: how far the rounds of
-    `macro_fem.curtain.shape` have come, None where the problem is convex.
+    `macro_fem.curtain.shape` have come, None where the problem is convex. tau (nq,): plastic work per area, N/mm, None
+    where rings do not flow.
     """
 
     stop: str
@@ -40,6 +41,7 @@ class CurtainSolution(CurtainState, Judged):
     cones: Cones | None = field(default=None, repr=False)
     second_step: tuple[bool, str] | None = None
     settling: Settling | None = None
+    tau: Array | None = None
 
     @property
     def elastic(self) -> bool:
@@ -102,12 +104,19 @@ class CurtainSolution(CurtainState, Judged):
         if not (np.isfinite(E).all() and np.isfinite(self.P).all()):
             return np.inf
         crossed = -float(self.problem.walls.gap(self.x).min(initial=np.inf)) / self.problem.mesh.size
-        return max(0.0, crossed) if self.elastic else max(-least_slack(self.problem.law, E), crossed)
+        can_stretch = self.elastic or self.problem.scene.solver.is_plastic
+        return max(0.0, crossed) if can_stretch else max(-least_slack(self.problem.law, E), crossed)
 
     @property
     def stretch_excess(self) -> float:
         """Largest stretch anywhere beyond that at which the rings lock, relative; 0 where none is."""
-        return float(np.sqrt(1.0 + max(0.0, -least_slack(self.problem.law, self.E)))) - 1.0
+        return float(self.stretch_beyond_locking.max())
+
+    @cached_property
+    def stretch_beyond_locking(self) -> Array:
+        """Stretch at each point beyond that at which the rings lock, relative (nq,); 0 where none is."""
+        cut = all_cuts(self.problem.law, self.E)
+        return np.sqrt(1.0 + np.maximum(0.0, cut.violation / (cut.h + 0.5))) - 1.0
 
     @property
     def displacement(self) -> Array:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from macro_fem.curtain.problem import CurtainProblem, gathered_start, stabilising_tension
+from macro_fem.curtain.problem import CurtainProblem, gathered_start, stabilising_tension, strength_at_points
 from macro_fem.curtain.shape import solve_shape
 from macro_fem.curtain.solution import CurtainSolution, slackened
 from macro_fem.curtain.state import InnerForces
@@ -21,8 +21,8 @@ from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.supports import check_pins
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import Cones, first_cones, green_strain
-from macro_fem.solvers.path import COUNTED, PATH, PathOptions, PathResult, Terms
-from macro_fem.solvers.status import Evidence, Reach, load_scale
+from macro_fem.solvers.path import COUNTED, PATH, Flow, PathOptions, PathResult, Terms
+from macro_fem.solvers.status import FREE, Evidence, Reach, load_scale
 from macro_fem.solvers.stretch_limit import reach_of, solve_at_stretch_limit
 from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, InputError, part_of
@@ -67,7 +67,7 @@ def solve_convex(problem: CurtainProblem, start: CurtainSolution | None = None) 
     begin = time.perf_counter()
     if start is not None and is_alike(problem.fem, start.problem.fem):
         problem = replace(problem, fem=start.problem.fem.moved(problem.fem.x_held))
-    reach, relaxation = supports_reach(problem, start), None
+    reach, relaxation = FREE if problem.scene.solver.is_plastic else supports_reach(problem, start), None
     if problem.scene.solver.is_elastic and reach.is_out:
         # More than the loads stretch its rings would be the elasticity of rings beyond what the law was made for.
         line_load = float(np.abs(problem.force).sum()) * problem.mesh.size / float(problem.disc.weight.sum())
@@ -133,6 +133,10 @@ def _solve_within_reach(
         terms = Terms(law.compliance, problem.walls)
         return solve_path(problem.fem, law, load, z, size, replace(options, least_gap=SOLVE.elastic_gap), terms), None
 
+    if problem.scene.solver.is_plastic:
+        terms = Terms(walls=problem.walls, flow=Flow(strength_at_points(problem, problem.disc)))
+        return solve_path(problem.fem, problem.plastic_law, load, z, size, options, terms), None
+
     def solve(fem: SupportedFem, z: Array, options: PathOptions, walls: Walls) -> PathResult:
         return solve_path(fem, problem.law, load, z, size, options, Terms(walls=walls))
 
@@ -152,9 +156,10 @@ def make_solution(
     shift = float(fem.gather(problem.force) @ result.z) - work  # what supports and the choice of origin add to -l.z
     held = fem.gradient(np.zeros_like(result.z))
     held_part = float((fem.disc.weight[:, None, None] * tension * problem.frame * held).sum())
-    allowance = _tension_allowance(problem, tension)
+    allowance = _tension_allowance(problem, tension, F)
     scale = load_scale(problem.force, problem.disc.weight) * problem.mesh.size
     stored = float(fem.disc.weight @ problem.elastic_law.response(green_strain(F)).energy) if elastic else 0.0
+    stored += 0.0 if result.tau is None else float(fem.disc.weight @ result.tau)
     return CurtainSolution(
         problem=problem,
         stop=result.stop,
@@ -168,17 +173,19 @@ def make_solution(
         reach=reach,
         relaxation=relaxation,
         cones=result.cones,
+        tau=result.tau,
     )
 
 
-def _tension_allowance(problem: CurtainProblem, tension: float) -> float:
+def _tension_allowance(problem: CurtainProblem, tension: float, F: Array) -> float:
     """How much more than the spread problem's a bound of the load's own potential must allow, N mm.
 
     -l.z = -(l + l_e).z + l_e.z, and l_e.z = tension times the integral of Q:F over the area, where Q is the frame, two
-    orthogonal unit vectors: (Q:F)^2 <= 2 tr C with tr C = 2 + 2 tr E <= 2 + 4 h(I/2).
+    orthogonal unit vectors: (Q:F)^2 <= 2 tr C with tr C = 2 + 2 tr E <= 2 + 4 h(I/2), or that of rings which flow.
     """
     half = np.array([[0.5, 0.0, 0.5]])
-    largest = np.sqrt(2.0 * (2.0 + 4.0 * float(problem.law.support(half)[0])))
+    flowing = float((F**2).sum(axis=(1, 2)).max()) if problem.scene.solver.is_plastic else 0.0
+    largest = np.sqrt(2.0 * max(2.0 + 4.0 * float(problem.law.support(half)[0]), flowing))
     return float(tension * largest * float(problem.disc.weight.sum()))
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homogenize import MembraneLaw, elastic_law
-from homogenize.laws import Cut, HalfSpaces, Response, check_law
+from homogenize.laws import Cut, HalfSpaces, PlasticLaw, Response, check_law, plastic_law
 from rve.common import Array
 from rve.common.tensor import dyad
 
@@ -57,6 +57,15 @@ class HungLaw:
 
     def elastic(self) -> HungLaw:
         return replace(self, own=elastic_law(self.own))
+
+    def plastic(self) -> HungLaw:
+        """The law of rings that flow; InputError where their strength is not known."""
+        return replace(self, own=plastic_law(self.own))
+
+    def limit(self) -> HungLaw:
+        """What is left of a law of rings that flow where the curtain is stretched without end."""
+        assert isinstance(self.own, PlasticLaw)
+        return replace(self, own=replace(self.own, is_limit=True))
 
 
 def rotation_on_triples(angle_deg: float) -> Array:

@@ -20,6 +20,7 @@ from .line_load import largest_mean as largest_mean
 from .strength import EXTRAPOLATED as EXTRAPOLATED
 from .strength import MEANING as MEANING
 from .strength import TOO_COARSE as TOO_COARSE
+from .strength import collapse_at_points as collapse_at_points
 from .strength import critical_load as critical_load
 from .strength import judge_strength as judge_strength
 from .strength import judged_by as judged_by

@@ -147,6 +147,17 @@ def utilisation(solution: CurtainState) -> Array | None:
     return None if isinstance(by, str) else by[0].utilisation(law.in_weave(solution.recovered(solution.S)))
 
 
+def collapse_at_points(solution: CurtainState) -> float | None:
+    """The factor at which a ring at a held or loaded point collapses, or the mesh there by `largest_borne` where cells
+    are too large to tell; None where nothing bears there, or it is not known."""
+    by = judged_by(solution.problem.law)
+    if isinstance(by, str):
+        return None
+    _, points, ring = _largest_asked(solution, *by)[2]
+    most = max(points.value, ring.value)
+    return 1.0 / most if most > UNLOADED else None
+
+
 def critical_load(solution: CurtainState) -> Array | None:
     """S (3,) in the frame of the weave where the utilisation of the mesh is largest; None where it is not known."""
     by = judged_by(solution.problem.law)

@@ -16,6 +16,7 @@ from macro_fem.summary import (
     Decision,
     Envelope,
     LargestForce,
+    Limit,
     SupportForce,
     Utilisation,
 )
@@ -47,16 +48,22 @@ def severity(state: CurtainState) -> float:
 
 
 def links(summary: Utilisation, supports: Sequence[SupportForce]) -> list[Link]:
-    """The links of a curtain that are loaded and whose strength is known, the weakest first."""
+    """The links of a curtain that are loaded and whose strength is known, the weakest first: rings and mesh at first
+    yield, or at their limit where rings flow."""
+    limit = summary if isinstance(summary, Limit) else Limit()
     averages, points, ring = asked_of_rings(summary)
     at, mesh, found = summary.utilisation_max_at_mm or (), max(averages, points), list[Link]()
-    if mesh > UNLOADED:
+    if limit.limit_of_mesh is not None:
+        found.append(Link(limit.limit_of_mesh, "limit of the mesh", "the mesh"))
+        if limit.limit_of_points is not None:
+            found.append(Link(limit.limit_of_points, "rings at points", "the ring at a held or loaded point"))
+    elif mesh > UNLOADED:
         text, place = "the mesh", ""
         if mesh >= ring:
             place = _place(at, f"{_from(summary.first_yield_distance_mm or 0.0)} {summary.first_yield_near}")
             text = f"rings {place}"
         found.append(Link(1.0 / mesh, "mesh", text, place))
-    if ring > UNLOADED:
+    if ring > UNLOADED and limit.limit_of_mesh is None:
         place = _place(at) if ring > mesh else ""
         found.append(Link(1.0 / ring, summary.ring_at_hook or "ring", f"the {summary.ring_at_hook}", place))
     for number, support in enumerate(supports, 1):
@@ -91,7 +98,7 @@ def judge(summary: CurtainNumbers, rows: Sequence[CombinationRow] = (), most: En
     """What a reader decides by: whether the curtain holds, None where that is not known, under which combination of the
     `rows` (None without any), by which factor, why that may be less, what gives first and where; the largest force of
     a single point under any of them. most: the envelope of the rows."""
-    worst, is_solved = most or summary, summary.status == "converged"
+    worst, is_solved = most or summary, summary.status in ("converged", "collapsed")
     factor = worst.weakest_factor
     return Decision(
         holds=None if factor is None or not is_solved else factor >= 1.0,
@@ -128,6 +135,7 @@ def _judged(of: CurtainNumbers | CombinationRow) -> dict[str, Any]:
         "weakest_factor": of.weakest_factor,
         "weakest_place": of.weakest_place,
         "utilisation_too_low": of.utilisation_too_low,
+        "limit_factor": of.limit_factor,
     }
 
 

@@ -69,7 +69,7 @@ class MovingRings(Mover[RingFrame, RingScene]):
 
     def masses(self, asked: RingScene) -> Array:
         """Masses (2 n + b,) of what `ring_places` are the places of, N s2/mm: bars move with rings and do not turn."""
-        own = areal_mass(asked.scene, asked.info) * PER_MM2 * asked.mesh.area
+        own = areal_mass(asked.scene, asked.info) * PER_MM2 * asked.mesh.weighing_area
         return TONNE * np.concatenate([asked.mass, own, [ball.mass for ball in self.balls]])
 
     def weights(self, asked: RingScene) -> Array:

@@ -1,21 +1,50 @@
 """What summary.json says of a solved curtain, with bounds and interval, and curtain.vtu."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, fields, replace
 from typing import Any
 
 import numpy as np
 
+from homogenize.laws import PlasticLaw
 from macro_fem.bounds.interval import CurtainBounds
+from macro_fem.bounds.limit import CurtainLimit
 from macro_fem.curtain import CurtainProblem, CurtainSolution, CurtainState, forces_by, forces_note, wind_drags
 from macro_fem.fem.cells import counterclockwise, padded
-from macro_fem.judged import judge_line_loads, judge_strength, links, support_forces, utilisation
+from macro_fem.judged import (
+    collapse_at_points,
+    judge_line_loads,
+    judge_strength,
+    links,
+    support_forces,
+    utilisation,
+)
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.tables import Bar, Load
-from macro_fem.summary import Bounds, BoundsOfPotential, CurtainNumbers, Feature, RingSizes, WeaveOfLaw
-from rve.common import Array, versions
+from macro_fem.summary import (
+    Bounds,
+    BoundsOfPotential,
+    CurtainNumbers,
+    Feature,
+    Limit,
+    RingSizes,
+    Utilisation,
+    WeaveOfLaw,
+)
+from rve.common import Array, digits, versions
 from rve.common.factor import linear_solver
 from rve.geometry import CellInfo
+
+FLOWING = 1e-6
+"""Stretch beyond locking from which rings count as flowing: the solver leaves some 1e-8."""
+DRAWN = 0.5
+"""Stretch beyond locking with which rings count as strings: those of three-ring chains break at some 0.57."""
+TOLD = 1.01
+"""Ratio of the hull of collapse loads to the safe set from which it is told."""
+COARSE_POINTS = (
+    "the interval begins at 0, as cells at held or loaded points reach beyond a disk of {:.3g} mm, one cell of the "
+    "weave, and limit_factor falls with refinement there: take more cells"
+)
 
 
 def summarize(solution: CurtainSolution) -> CurtainNumbers:
@@ -69,17 +98,56 @@ def summarize(solution: CurtainSolution) -> CurtainNumbers:
         wall_s=solution.wall_s,
         versions=versions("scikit-fem", "scikit-sparse"),
     )
-    least = next(iter(links(found, found.support_forces)), None)  # of what is known and loaded
+    return with_weakest(found)
+
+
+def with_weakest(found: CurtainNumbers) -> CurtainNumbers:
+    """The numbers with what gives first, of what is known and loaded."""
+    least = next(iter(links(found, found.support_forces)), None)
     if least is None:
         return found
     return replace(found, weakest=least.name, weakest_factor=least.factor, weakest_place=least.place)
+
+
+def with_limit(
+    numbers: CurtainNumbers, limit: CurtainLimit, solution: CurtainSolution, rigid: CurtainSolution | None
+) -> CurtainNumbers:
+    """The numbers of a curtain whose rings flow, with its limit; utilisation, first yield and collapse of the worst
+    cell are those of the curtain that is `rigid`, None where there is none."""
+    law, beyond, notes = limit.problem.plastic_law.own, solution.stretch_beyond_locking, list[str]()
+    assert isinstance(law, PlasticLaw)
+    if law.difference > TOLD:
+        notes.append(f"the set of line loads is safe, and up to {digits(law.difference)} times less than rows bear")
+    if limit.status != "converged":
+        notes.append(f"the solver of the limit ended as {limit.status}: the interval is as wide as it is known")
+    most = float(beyond.max())
+    if most > DRAWN:
+        notes.append(f"{digits(100.0 * most)} % beyond locking rings are strings, of which the law knows nothing")
+    is_loaded, points = np.isfinite(limit.factor), None if rigid is None else collapse_at_points(rigid)
+    parts = Limit(
+        limit_factor=limit.factor if is_loaded else None,
+        limit_interval=[limit.lower, limit.upper] if is_loaded else None,
+        limit_of_points=points,
+        limit_note="; ".join(notes) or None,
+        plastic_area_share=float(
+            solution.problem.disc.weight @ (beyond > FLOWING) / solution.problem.disc.weight.sum()
+        ),
+        largest_plastic_strain=most,
+        largest_plastic_strain_at_mm=solution.problem.disc.points[beyond.argmax()].tolist(),
+    )
+    none = dict.fromkeys(one.name for one in fields(Utilisation))
+    judged = none if rigid is None else judge_strength(rigid).parts()
+    too_low = None if not limit.is_coarse else COARSE_POINTS.format(limit.problem.disk_of_cell)
+    return with_weakest(replace(numbers, **(judged | {"utilisation_too_low": too_low}), **parts.parts()))
 
 
 def weave_of(cell: CellInfo | None, hang_deg: float) -> WeaveOfLaw:
     """Radii, weave and reference cell of a law, without areal mass and material, which a scene may replace."""
     if cell is None:
         return WeaveOfLaw(hang_deg=hang_deg, rings=None, weave=None, grain=None, reference_cell=None)
-    sizes = RingSizes(r1_mm=cell.r1_mm, r2_mm=cell.r2_mm, b_x_mm=cell.b_x_mm, b_y_mm=cell.b_y_mm)
+    drawing = None if cell.drawing is None else asdict(cell.drawing)
+    sides = {"b_x_mm": cell.b_x_mm, "b_y_mm": cell.b_y_mm}
+    sizes = RingSizes(r1_mm=cell.r1_mm, r2_mm=cell.r2_mm, **sides, drawing=drawing)
     named = {"weave": cell.weave, "grain": cell.grain, "reference_cell": cell.reference}
     return WeaveOfLaw(hang_deg=hang_deg, rings=sizes, **named)
 
@@ -168,6 +236,9 @@ def curtain_mesh(solution: CurtainState, extra: dict[str, Array] | None = None) 
     problem, mesh, disc = solution.problem, solution.problem.mesh.mesh, solution.problem.disc
     values, direction = solution.principal()
     used = utilisation(solution)
+    flow = (
+        solution.stretch_beyond_locking if isinstance(solution, CurtainSolution) and solution.tau is not None else None
+    )
     data = {
         "E_11_12_22": disc.cell_mean(solution.E),
         "S_11_12_22_N_per_mm": disc.cell_mean(solution.S),
@@ -176,6 +247,7 @@ def curtain_mesh(solution: CurtainState, extra: dict[str, Array] | None = None) 
         "direction_1": padded(np.einsum("cij,cj->ci", disc.cell_mean(solution.F), direction)),
         "state_0_slack_1_wrinkled_2_taut": solution.state(),
         **({} if used is None else {"utilisation": used}),
+        **({} if flow is None else {"plastic_strain": disc.cell_mean(flow)}),
         **(extra or {}),
     }
     point_data = {

@@ -128,6 +128,8 @@ def curtain_drawings(steps: Sequence[CurtainSolution], wanted: Pictures) -> Draw
         drawings[f"{wanted.stem}.png"] = draw_in_space
     elif wanted.picture:
         drawings[f"{wanted.stem}.png"] = lambda path: save_figure(path, panels(last))
+    if wanted.picture and last.tau is not None:
+        drawings[f"{wanted.stem}_flow.png"] = lambda path: save_figure(path, plot_flow(last).figure)
     if wanted.animation:
         drawings[f"{wanted.stem}.gif"] = animate
     return drawings
@@ -167,6 +169,14 @@ def plot_utilisation(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
         label = f"ring at a hook or loaded point, up to {digits(most)}"
         style = {"cmap": scale.colour_map(), "norm": scale.norm(), "edgecolors": "white", "zorder": 7, "label": label}
         ax.scatter(at[:, 0], at[:, 1], c=borne, **style)
+    _legend(ax)
+    return ax
+
+
+def plot_flow(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
+    """The deformed curtain coloured by how much rings that flow stretch beyond locking."""
+    beyond = 100.0 * solution.problem.disc.cell_mean(solution.stretch_beyond_locking)
+    ax = _plot_field(solution, beyond, Scale.of(beyond, "stretch beyond locking, %, where rings flow"), ax)
     _legend(ax)
     return ax
 

@@ -26,6 +26,7 @@ LEANS = 0.02
 def holds_line(summary: CurtainNumbers | CurtainMotionSummary) -> str:
     """Whether the curtain holds, in one line: the factor, what gives first, what the other links bear."""
     found, too_low = links(summary, summary.support_forces), summary.utilisation_too_low
+    gives = "collapse" if isinstance(summary, CurtainNumbers) and summary.limit_of_mesh is not None else "yield"
     least = found[0].factor if found else float("inf")
     if least < 1.0:
         parts = [f"does not hold, factor {digits(least)}"]
@@ -37,8 +38,10 @@ def holds_line(summary: CurtainNumbers | CurtainMotionSummary) -> str:
         parts = [f"holds with a factor {'of at most ' if too_low else ''}{digits(least)}{ask}" if found else "no load"]
     for number, link in enumerate(found):
         material = f"({summary.ring_material}, {summary.ring_yield_N_per_mm2 or 0.0:g} N/mm2)"
-        verb = "yields" if link.text.startswith("the ") else "yield"
-        of_rings = f"would yield first {material}" if not number else f"{verb} at {digits(link.factor)} times the load"
+        verb = f"{gives}s" if link.text.startswith("the ") else gives
+        of_rings = (
+            f"would {gives} first {material}" if not number else f"{verb} at {digits(link.factor)} times the load"
+        )
         place = f", {link.place}" if link.place and link.name != "mesh" else ""
         parts.append(f"{link.text if 'capacity' in link.name else f'{link.text} {of_rings}'}{place}")
     averages, points, _ = asked_of_rings(summary)
@@ -47,6 +50,25 @@ def holds_line(summary: CurtainNumbers | CurtainMotionSummary) -> str:
     if found and points > averages:
         parts.append(OF_FORCE)
     return "; ".join(parts)
+
+
+def limit_line(summary: CurtainNumbers) -> str | None:
+    """First yield, collapse of the worst cell and limit of the curtain, in this order; None where rings do not flow."""
+    ends = summary.limit_interval
+    if ends is None or summary.limit_factor is None:
+        return None
+    known = {"first yield": summary.safety_factor, "collapse of the worst cell": summary.collapse_factor}
+    told = [
+        f"{name} at {'an unknown number of' if one is None else digits(one)} times the load"
+        for name, one in known.items()
+    ]
+    low, high = (digits(one, 5) for one in ends)
+    told.append(f"limit of the curtain at {digits(summary.limit_factor, 5)} times, certified between {low} and {high}")
+    flow, most = 100.0 * (summary.plastic_area_share or 0.0), 100.0 * (summary.largest_plastic_strain or 0.0)
+    told.append(
+        f"under the load as it is rings flow in {digits(flow)} % of the area, by up to {digits(most)} % in length"
+    )
+    return "; ".join([*told, *filter(None, [summary.limit_note])])
 
 
 def default_law_lines(given: Path | None) -> list[str]:
@@ -74,6 +96,8 @@ def curtain_lines(summary: CurtainSummary, out: Path, *, explain: bool) -> Itera
     yield from order_lines(summary.order)
     if summary.status == "converged":
         yield f"{'without the factors of combinations: ' * ('envelope' in summary)}{holds_line(summary)}"
+    yield from filter(None, [limit_line(summary)])
+    if summary.status == "converged":
         yield from filter(None, [summary.support_forces_note, summary.single_forces_note, lean_note(summary)])
     yield from combination_lines(summary)
     if summary.bounds is not None:

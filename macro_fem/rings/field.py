@@ -130,7 +130,9 @@ class RingField:
     @property
     def drawn(self) -> DrawnRings:
         """The rings to draw, coloured by contact force."""
-        return DrawnRings(self.centre_mm, self.normal, self.cell.r1, self.cell.r2, self.contact_force_N)
+        cell, kind = self.cell, self.sites.index[:, 0]
+        radii, wires = cell.r1 * cell.weave.radii[kind], cell.r2 * cell.weave.wires[kind]
+        return DrawnRings(self.centre_mm, self.normal, radii, wires, self.contact_force_N)
 
     @property
     def data(self) -> dict[str, Array]:
@@ -162,7 +164,7 @@ class RingField:
         picture: bool = True,
         tubes: bool = False,
         html: bool = False,
-        solids: str = "",
+        solids: str | None = None,
         render: bool = False,
         inputs: Iterable[str | Path | None] = (),
     ) -> dict[str, Any]:
@@ -218,14 +220,16 @@ class RingField:
         if 3.0 * half < size:
             add(plotter, "close-up at the largest line load", lines(window.closed_circles(96)), BLACK, line_width=6)
         axes = self._axes
-        add_length(plotter, np.vstack([centre, centre - [0.0, 2.0 * rings.r1, 0.0]]), size, axes)
+        add_length(plotter, np.vstack([centre, centre - [0.0, 2.0 * self.cell.r1, 0.0]]), size, axes)
         is_plane = np.abs(centre[:, 2]).max() <= 1e-9 * np.abs(centre).max()
         tilt = [0.0, 0.0, -1.0] if is_plane else [0.3, -0.25, -1.0]
         look(plotter, THREE_QUARTERS if axes is None else np.array(tilt) @ axes)
         plotter.subplot(0, 1)
         near = np.linalg.norm(centre - centre[at], axis=1) < 1.3 * half
         force = self.contact_force_N[near]
-        replace(rings, centre=centre[near], normal=self.normal[near], force=force).draw(plotter, (rings,))
+        r1, r2 = (np.asarray(radii)[near] for radii in (rings.r1, rings.r2))
+        part = DrawnRings(centre[near], self.normal[near], r1, r2, force)
+        part.draw(plotter, (rings,))
         front = sheet_normal if sheet_normal[2] >= 0.0 else -sheet_normal
         up = np.array([0.0, 1.0, 0.0] if abs(front[1]) < 0.9 else [0.0, 0.0, -1.0])
         from_below = 2.2 * up - 0.6 * np.cross(up, front) - 4.2 * front  # and from the side: one sees how the rings lie

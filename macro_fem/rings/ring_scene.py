@@ -144,8 +144,9 @@ def _finite_mesh(scene: Scene, info: CellInfo) -> FiniteMesh:
     ring_cost(scene, info)
     outline = curtain.corners(scene.mesh.cells)
     cell = info.cell()
-    mass = 1e-6 * info.areal_mass_kg_per_m2 * info.b_x_mm * info.b_y_mm / cell.weave.classes  # of a ring
-    metal = replace(cell.material, density_kg_per_mm3=cell.density * mass / cell.ring_mass)
+    mass = 1e-6 * info.areal_mass_kg_per_m2 * info.b_x_mm * info.b_y_mm  # of all rings of a cell
+    density = cell.density * mass / (cell.ring_mass * float(cell.weave.masses.sum()))
+    metal = replace(cell.material, density_kg_per_mm3=density)
     cell = replace(cell, material=metal)
     try:
         holes = [np.array(hole) for hole in curtain.holes]
@@ -199,7 +200,7 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
     way = np.where(supports.fixed, supports.positions - in_space_of(disc.nodes, scene.d), 0.0)
     at = padded(mesh.X) + padded(onto @ way) / np.where(shares > 0.0, shares, 1.0)
     bars = []
-    mass = areal_mass(scene, info) * PER_MM2 * mesh.area + onto @ bar_masses(scene, fem, disc, turning=True)
+    mass = areal_mass(scene, info) * PER_MM2 * mesh.weighing_area + onto @ bar_masses(scene, fem, disc, turning=True)
     for bar in (one for one in scene.of(Bar) if one.straight):
         line = ring[edge_nodes(fem, disc, bar.edge)]
         bars.append(line[np.sort(np.unique(line, return_index=True)[1])])

@@ -54,10 +54,25 @@ def _contradictions(scene: Scene) -> Iterator[str]:
         yield "[load.wind] speed: has no effect on a plane sheet along direction; give that a third component"
     if scene.solver.is_bounded:
         check_bounds(scene, "[solver] bounds and adapt:")
+    if scene.solver.is_plastic:
+        yield from _of_flow(scene)
     for kind, items in (("body", scene.of(Ball)), ("obstacle", scene.obstacle)):
         names = [item.name for item in items]
         for name in {name for name in names if names.count(name) > 1}:
             yield f"[[{kind}]] name = {name!r}: is that of two, and results go by it; give each its own"
+
+
+def _of_flow(scene: Scene) -> Iterator[str]:
+    """What does not go with rings that flow: what has no convex problem, and what would unload them."""
+    where = "[solver] kind = 'plastic':"
+    if scene.motion is not None:
+        yield f"{where} is for a curtain at rest, as rings that flow do not go back"
+    if scene.mesh.element != "P1":
+        yield f"{where} needs element = 'P1', not {scene.mesh.element!r}"
+    if bodies := scene.of(Body):
+        yield f"{where} does not go with {bodies[0].name}: outside a body the problem is not convex, and has no limit"
+    if any(wind.is_shaped for wind in scene.of(Wind)):
+        yield f"{where} does not go with wind on the present shape; give its pressure, without speed and follows"
 
 
 def _over_time(scene: Scene) -> Iterator[str]:

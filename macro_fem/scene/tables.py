@@ -273,7 +273,8 @@ class Loading(Typed):
 @dataclass(frozen=True)
 class Solver(Typed):
     """`kind`: "rigid" is ideal locking, "elastic" the elastic law; "auto" is rigid, with forces of elastic rings where
-    rigid ones leave them open (`macro_fem.curtain`).
+    rigid ones leave them open (`macro_fem.curtain`); "plastic" is ideal locking with rings that flow where they
+    collapse.
 
     `tolerance` is relative to the problem's energy scale, total load times size. `stabilising_tension` adds an even
     tension of this part of (total load / size) everywhere, which decides the shape of slack parts. The bounds in the
@@ -281,7 +282,7 @@ class Solver(Typed):
     of refinements where the bounds differ. `space` gives a plane scene the third coordinate that it does not need.
     """
 
-    kind: Literal["auto", "rigid", "elastic"] = "auto"
+    kind: Literal["auto", "rigid", "elastic", "plastic"] = "auto"
     tolerance: Annotated[float, Meta(ge=1e-12, le=1e-2)] = 1e-9
     max_iterations: Annotated[int, Meta(ge=1, le=10_000)] = 400
     stabilising_tension: Annotated[float, Meta(ge=0.0, le=1e-2)] = 1e-6
@@ -293,6 +294,11 @@ class Solver(Typed):
     def is_elastic(self) -> bool:
         """Whether elastic rings are asked for, instead of ideal locking."""
         return self.kind == "elastic"
+
+    @property
+    def is_plastic(self) -> bool:
+        """Whether rings may flow."""
+        return self.kind == "plastic"
 
     @property
     def is_bounded(self) -> bool:

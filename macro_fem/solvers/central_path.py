@@ -12,6 +12,7 @@ amount, towards a state inside the law.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -20,11 +21,12 @@ from macro_fem.fem.supported import SupportedFem
 from macro_fem.solvers import soc
 from macro_fem.solvers.cone_program import ConeState, Measure, Program, compliance_root, find_first_state, measure
 from macro_fem.solvers.cone_step import advance, find_nearest, find_step, join, prune
-from macro_fem.solvers.cones import first_cones, least_slack
+from macro_fem.solvers.cones import all_cuts, first_cones, green_strain, least_slack
 from macro_fem.solvers.path import PATH, RIGID_TERMS, PathOptions, PathResult, Terms
 from macro_fem.solvers.status import FREE, Evidence, Reach, load_scale
 from macro_fem.solvers.walls import WallRows, Walls
 from rve.common import Array, tell
+from rve.common.tensor import IDENTITY, WEIGHT
 
 
 @dataclass(frozen=True)
@@ -63,9 +65,19 @@ class _Place:
         """The measured place of a state."""
         return cls(program, state, measure(program, state), interior_margin)
 
-    @property
+    @cached_property
+    def tau(self) -> Array | None:
+        """The least plastic work (nq,) in N/mm with which z is admissible; None where rings do not flow."""
+        program = self.program
+        return None if program.flow is None else find_flow(program, self.state.z)
+
+    @cached_property
     def primal(self) -> float:
-        """-l.z plus the stored energy, N mm."""
+        """-l.z plus the stored energy or plastic work, N mm; where a limit is asked for, scale times an upper bound."""
+        program, z = self.program, self.state.z
+        if self.tau is not None:
+            work, by_load = float(program.fem.disc.weight @ self.tau), float(program.load @ z)
+            return work / max(by_load, 1e-300) * program.scale if program.is_limit else work - by_load
         stored = 0.5 * float((self.program.fem.disc.weight * soc.row_dot(self.state.eps, self.state.eps)).sum())
         moving = 0.0 if self.program.inertia is None else self.program.inertia.energy(self.state.z)
         return stored - float(self.program.load @ self.state.z) + moving
@@ -117,6 +129,7 @@ def solve_path(
         total=loads + (0.0 if inertia is None else inertia.force_scale),
         rows=WallRows(fem, terms.walls or Walls.none(fem.x_held.shape), size),
         inertia=inertia,
+        flow=terms.flow,
     )
     first = _Place.at(program, find_first_state(program, start, options.first_gap))
     return _make_result(*_follow(first, options), options)
@@ -158,6 +171,8 @@ def _try_step(place: _Place, options: PathOptions, *, may_wait: bool) -> tuple[P
         return None
     F = program.fem.gradient(state.z + step.primal * step.dz)
     E = program.locked(F, state.eps + step.primal * step.deps)
+    if not np.isfinite(E).all():  # rings that flow without end
+        return None
     violation, missing, cut = find_nearest(program, now, E, now.wanted + step.d_wanted * step.primal)
     if not len(missing):
         after = advance(state, step)
@@ -174,7 +189,7 @@ def _find_stop(place: _Place, inner: _Place, options: PathOptions, steps: int) -
     numbers are not as good as asked.
     """
     now, program = place.now, place.program
-    is_dual = not program.lead and now.outside != 0.0 and now.dual > 0.0
+    is_dual = not program.lead and program.flow is None and now.outside != 0.0 and now.dual > 0.0
     if is_dual and float(np.abs(now.r_y).sum()) / program.total < 1e-6 * now.dual:  # y proves that there is no z
         return "blocked" if len(place.state.u) else "infeasible"
     is_close = place.now.error < options.gap and place.violation < options.violation
@@ -189,7 +204,7 @@ def _draw_inside(place: _Place, inner: _Place, options: PathOptions) -> _Place:
     """A rigid place drawn towards the inner one by the least amount found that brings it inside the whole law; the
     place itself where that is more than a correction of rounding.
     """
-    if not options.drawn or place.program.lead or inner.interior_margin <= 0.0:
+    if not options.drawn or place.program.lead or place.program.flow or inner.interior_margin <= 0.0:
         return place
     share, near = 0.0, place
     while (outside := near.violation) > 0.0:
@@ -212,7 +227,7 @@ def _make_result(place: _Place, stop: str, inner: _Place, steps: int, options: P
         evidence=answer.evidence,
         asked=options.accuracy,
         z=answer.state.z,
-        S=program.cones.stress(program.carried(y) / program.c),
+        S=program.cones.stress(program.carried(y) / (program.c if program.flow is None else place.state.s.head)),
         psi=program.cones.sum(program.c * np.sqrt(soc.row_dot(tail, tail))),
         cones=program.cones,
         P=-program.pull(y)[0],
@@ -221,4 +236,22 @@ def _make_result(place: _Place, stop: str, inner: _Place, steps: int, options: P
         iterations=steps,
         reach=Reach(0.0, 1.0 / (1.0 + excess)) if stop == "infeasible" else FREE,
         wall_forces=program.rows.reactions(place.state.u),
+        tau=answer.tau,
     )
+
+
+def find_flow(program: Program, z: Array) -> Array:
+    """The least plastic work tau (nq,) in N/mm with which |F L| <= offset + N tau holds for the whole law."""
+    assert program.flow is not None
+    F, tau = program.fem.gradient(z), np.zeros(len(program.fem.disc.weight))
+    C = 2.0 * green_strain(F) + IDENTITY
+    for _ in range(STOP.patience):
+        cut = all_cuts(program.law, program.locked(F, tau[:, None]))
+        assert cut.extra is not None
+        radius = np.sqrt(np.maximum((cut.S * WEIGHT * C).sum(axis=1), 0.0))
+        offset = np.sqrt(2.0 * cut.h + 1.0) * (not program.is_limit)
+        asked = np.maximum(tau, (radius - offset) / cut.extra * program.flow.strength)
+        if not (asked > tau * (1.0 + 1e-12)).any():
+            break
+        tau = asked
+    return tau

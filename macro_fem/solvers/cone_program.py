@@ -24,6 +24,14 @@ Half-spaces on places of the curtain, s = A z + b0 >= 0 (`walls`), are further c
 variables u and areas v: they add A^T (v u) to the balance of forces, -sum v u b0 to the dual value and A^T (v u / s) A
 to Newton's matrix.
 
+Rings that flow (`PlasticLaw`) are rigid ones whose cones are widened by tau >= 0 at each point, at the cost w tau in
+place of w eps.eps / 2:
+
+    (c + N tau, F L),   sum of y_0 N + v = 1,   tau v = mu.
+
+Their limit is the least sum of w tau over l.z with c = 0 and supports at rest at 0: the multiplier of l.z = scale is
+the factor f on the load, `ConeState.factor`, and Newton's matrix has one more row and column.
+
 A step of motion adds (x - x_hat).W (x - x_hat) / 2 over the nodes to what is minimised (`Inertia`).
 """
 
@@ -37,11 +45,11 @@ from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.solvers import soc
 from macro_fem.solvers.cones import Cones, green_strain, symmetric_roots, times_root
-from macro_fem.solvers.path import Inertia
+from macro_fem.solvers.path import Flow, Inertia
 from macro_fem.solvers.soc import Vectors
 from macro_fem.solvers.walls import WallRows
 from rve.common import Array
-from rve.common.tensor import WEIGHT
+from rve.common.tensor import IDENTITY, WEIGHT
 
 REACH = 4.0
 """No point of an admissible state is farther than this many sizes from its place in another one."""
@@ -52,7 +60,8 @@ LIFT = 0.1
 @dataclass(frozen=True)
 class ConeState:
     """Free unknowns z, strains eps (nq, k), primal cone vectors s (lengths), dual ones y (N/mm); slacks t (m,) and dual
-    variables u (m,), N/mm, of half-spaces on nodes."""
+    variables u (m,), N/mm, of half-spaces on nodes. Of rings that flow eps is tau, N/mm, and v (nq, k) its dual
+    variable; factor: on the load."""
 
     z: Array
     eps: Array
@@ -60,11 +69,14 @@ class ConeState:
     y: Vectors
     t: Array
     u: Array
+    v: Array
+    factor: float = 1.0
 
     @property
     def is_inside(self) -> bool:
         """Whether all cone vectors are inside their cones: rounding may put one on the boundary."""
-        is_in_rows = min(self.t.min(initial=np.inf), self.u.min(initial=np.inf)) > 0.0
+        flows = min(self.eps.min(initial=np.inf), self.v.min(initial=np.inf)) if self.v.size else np.inf
+        is_in_rows = min(self.t.min(initial=np.inf), self.u.min(initial=np.inf), flows) > 0.0
         return bool(self.s.margin().min() > 0.0 and self.y.margin().min() > 0.0 and is_in_rows)
 
 
@@ -84,6 +96,17 @@ class Program:
     total: float
     rows: WallRows
     inertia: Inertia | None = None
+    flow: Flow | None = None
+
+    @property
+    def is_limit(self) -> bool:
+        """Whether the largest factor on the load is asked for."""
+        return self.flow is not None and self.flow.is_limit
+
+    @cached_property
+    def offset(self) -> Array:
+        """What cones are wide without tau (nc,): c, or 0 where a limit is asked for."""
+        return self.c * (not self.is_limit)
 
     @cached_property
     def L(self) -> Array:
@@ -98,7 +121,10 @@ class Program:
     @cached_property
     def N(self) -> Array:
         """What the strains eps do to each cone: R^T W S / c (nc, k), and g / c beside them where rings give by
-        direction."""
+        direction; of rings that flow N (nc, 1)."""
+        if self.flow is not None:
+            assert self.cones.extra is not None
+            return np.asarray(self.cones.extra / self.flow.strength[self.cones.point])[:, None]
         N = (self.cones.S * WEIGHT) @ self.R
         N = N if self.cones.extra is None else np.column_stack([N, self.cones.extra])
         return np.asarray(N / self.c[:, None])
@@ -111,7 +137,8 @@ class Program:
     @cached_property
     def area(self) -> float:
         """Sum of the areas of all cones, mm2."""
-        return float(self.w.sum()) + float(self.rows.v.sum())
+        flowing = 0.0 if self.flow is None else float(self.fem.disc.weight.sum())
+        return float(self.w.sum()) + float(self.rows.v.sum()) + flowing
 
     def added(self, weight: Array) -> sparse.csc_matrix | None:
         """What half-spaces on points, of these weights (m,), and inertia add to Newton's matrix (n, n), if any."""
@@ -133,7 +160,7 @@ class Program:
     def slack(self, z: Array, eps: Array, which: np.ndarray | slice = slice(None)) -> Vectors:
         """(c + n, n, F L): the primal cone vectors that the unknowns ask for."""
         v = self.map(self.fem.gradient(z), eps, which)
-        return Vectors(self.c[which] + v.head, v.tail)
+        return Vectors(self.offset[which] + v.head, v.tail)
 
     def pull(self, y: Vectors) -> tuple[Array, Array]:
         """The transpose of `map`, summed over the cones of each point: minus the stress P (nq, d, 2), eps (nq, k)."""
@@ -147,7 +174,12 @@ class Program:
         return np.asarray(y.head + y.tail[:, : self.lead].sum(axis=1))
 
     def locked(self, F: Array, eps: Array) -> Array:
-        """E - R eps (nq, 3): the strain that the half-spaces limit; tau beside it where there is one, (nq, 4)."""
+        """E - R eps (nq, 3): the strain that the half-spaces limit; tau beside it where there is one, (nq, 4); see
+        `PlasticLaw` for rings that flow."""
+        if self.flow is not None:
+            tau = eps[:, 0] / self.flow.strength
+            E = green_strain(F) + 0.5 * IDENTITY * self.is_limit
+            return np.column_stack([E, tau * (not self.is_limit), 0.5 * tau**2])
         k = self.R.shape[1]
         E = green_strain(F) - eps[:, :k] @ self.R.T
         return E if self.cones.extra is None else np.column_stack([E, eps[:, k]])
@@ -167,8 +199,8 @@ class Measure:
     gap: sum of w s.y; unbalanced: forces, times one size; outside: largest cone residual relative to c; strain: misfit
     of the strains; error: the largest of these. lower: a bound of the potential from below over all states within REACH
     sizes of this one; dual: the same without what unbalanced forces could do. wanted: the cone vectors that the
-    unknowns ask for. Residuals of equilibrium r_x (n,), strains r_e (nq, k), cones r_s, half-spaces on points r_t (m,);
-    r_y (n,): the forces of the dual variables alone.
+    unknowns ask for. Residuals of equilibrium r_x (n,), strains r_e (nq, k), cones r_s, half-spaces on points r_t (m,),
+    of l.z = scale where a limit is asked for r_f; r_y (n,): the forces of the dual variables alone.
     """
 
     gap: float
@@ -183,6 +215,7 @@ class Measure:
     r_e: Array
     r_s: Vectors
     r_t: Array
+    r_f: float = 0.0
 
     @property
     def error(self) -> float:
@@ -194,25 +227,30 @@ def measure(program: Program, state: ConeState) -> Measure:
     fem, w, scale, rows = program.fem, program.w, program.scale, program.rows
     sum_of_parts, strain = program.pull(state.y)
     r_y = fem.force(sum_of_parts) + rows.force(state.u)
-    r_x, energy, below = program.load + r_y, 0.0, None
+    r_x, energy, below = state.factor * program.load + r_y, 0.0, None
     if program.inertia is not None:
         r_x = r_x + program.inertia.force(state.z)
         energy, below = program.inertia.energy(state.z), program.inertia.deficit(r_x)
-    r_e = strain - state.eps
+    r_e = strain - (state.eps if program.flow is None else 1.0 - state.v)
+    r_f = scale - float(program.load @ state.z) if program.is_limit else 0.0
     wanted = program.slack(state.z, state.eps)
     r_s, r_t = state.s - wanted, state.t - rows.slack(state.z)
     zero = np.zeros_like(state.z)
-    dual = -float((w * state.y.head * program.c).sum())
+    dual = -float((w * state.y.head * program.offset).sum()) + state.factor * scale * program.is_limit
     dual -= float((fem.disc.weight * (sum_of_parts * fem.gradient(zero)).sum(axis=(1, 2))).sum())
-    dual -= 0.5 * float((fem.disc.weight * soc.row_dot(strain, strain)).sum())
+    dual -= 0.5 * float((fem.disc.weight * soc.row_dot(strain, strain)).sum()) * (program.flow is None)
     dual -= float((rows.v * state.u * rows.slack(zero)).sum())
     unbalanced = float(np.abs(r_x).sum()) / program.total
-    lower = (dual - float(((program.load + r_y) * state.z).sum()) + energy) / scale
+    lower = (dual - float(((state.factor * program.load + r_y) * state.z).sum()) + energy) / scale
+    strained = float(np.sqrt((fem.disc.weight * soc.row_dot(r_e, r_e)).sum() / scale))
+    if program.flow is not None:
+        strained = float(np.abs(r_e).max()) + abs(r_f) / scale
+        lower -= REACH * strained
     return Measure(
         gap=mean_product(program, state) * program.area / scale,
         unbalanced=unbalanced,
         outside=max(float(np.sqrt((r_s.dot(r_s) / program.c**2).max())), float(np.abs(r_t).max(initial=0.0))),
-        strain=float(np.sqrt((fem.disc.weight * soc.row_dot(r_e, r_e)).sum() / scale)),
+        strain=strained,
         dual=dual / scale,
         lower=lower - (REACH * unbalanced if below is None else below / scale),
         wanted=wanted,
@@ -221,19 +259,22 @@ def measure(program: Program, state: ConeState) -> Measure:
         r_e=r_e,
         r_s=r_s,
         r_t=r_t,
+        r_f=r_f,
     )
 
 
 def mean_product(program: Program, state: ConeState) -> float:
     """mu: the mean of s.y over the cones, N/mm."""
     products = float((program.w * state.s.dot(state.y)).sum()) + float((program.rows.v * state.t * state.u).sum())
-    return products / program.area
+    flowing = float((program.fem.disc.weight * soc.row_dot(state.eps, state.v)).sum()) if state.v.size else 0.0
+    return (products + flowing) / program.area
 
 
 def find_first_state(program: Program, z: Array, first_gap: float) -> ConeState:
     """A state at z on the central path of the first gap; cone vectors of violated cones are lifted inside."""
-    eps = np.zeros((len(program.fem.disc.weight), program.N.shape[1]))
+    mu = first_gap * program.scale / program.area
+    v = np.ones((len(program.fem.disc.weight), 1 if program.flow is not None else 0))
+    eps = mu * v if v.size else np.zeros((len(v), program.N.shape[1]))
     s = program.slack(z, eps).lifted(LIFT * program.c)
     t = np.maximum(program.rows.slack(z), LIFT)
-    mu = first_gap * program.scale / program.area
-    return ConeState(z, eps, s, soc.inverse(s, mu), t, mu / t)
+    return ConeState(z, eps, s, soc.inverse(s, mu), t, mu / t, v, 0.0 if program.is_limit else 1.0)

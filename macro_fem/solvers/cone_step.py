@@ -30,6 +30,9 @@ class StepOptions:
     parts add more, smaller ones late, so that steps are cut short."""
     share: float = 0.3
     """A violated half-space enters with at most this part of the load of its point. Larger shares unbalance more."""
+    ahead: float = 3.0
+    """Unbalanced forces over the gap of a limit above which they are removed first. Where the gap is far ahead
+    of them half-spaces that join keep them up, and steps end at the limit of rounding."""
     rounded: float = 1e-13
     """Least relative distance from the boundary that double precision can tell from none."""
     stray: float = 1e-2
@@ -55,7 +58,9 @@ class ConeStep:
     d_wanted: Vectors
     dt: Array
     du: Array
+    dv: Array
     keep: float
+    df: float = 0.0
     primal: float = 0.0
     dual: float = 0.0
 
@@ -79,7 +84,8 @@ class _Newton:
         inv2 = 1.0 / self.W.eta**2
         # W^-2 seen through `map` is eta^-2 (2 q q^T + |F L|^2): the squares of the two n cancel.
         q = times_root(w.tail[:, program.lead :].reshape(-1, d, 2), program.L)
-        q = np.column_stack([(w.tail[:, 0] - w.head)[:, None] * program.N, q]) if k else q
+        first = w.tail[:, : program.lead].sum(axis=1) - w.head
+        q = np.column_stack([first[:, None] * program.N, q]) if k else q
         H = cones.sum_of_squares(q, 2.0 * inv2)
         S = cones.stress(inv2)
         for a in range(k, k + 2 * d, 2):
@@ -89,24 +95,34 @@ class _Newton:
             H[:, a + 1, a + 1] += S[:, 2]
         if k:
             H = np.ascontiguousarray(H)
-            H[:, range(k), range(k)] += 1.0
+            H[:, range(k), range(k)] += 1.0 if program.flow is None else state.v / state.eps
+            if program.flow is not None:  # without n in the tail its square does not cancel
+                H[:, 0, 0] -= cones.sum(inv2 * program.N[:, 0] ** 2)
         self.root: Array = np.asarray(np.linalg.cholesky(H[:, :k, :k]))
         self.couple: Array = np.asarray(np.linalg.solve(self.root, H[:, :k, k:]))
         A = H[:, k:, k:] - self.couple.swapaxes(1, 2) @ self.couple if k else H
         self.solve = program.fem.factorize(A.reshape(-1, d, 2, d, 2), program.added(state.u / state.t))
+        self.by_load = self.solve(program.load) if program.is_limit else None
 
-    def direction(self, aim: Vectors, row_aim: Array, keep: float) -> tuple[ConeStep, Vectors, Vectors]:
-        """The step to point o (W dy + W^-1 ds) = aim and u dt + t du = row_aim with residuals reduced to the part
-        `keep`, W^-1 ds and W dy."""
-        program, W, now, rows = self.program, self.W, self.now, self.program.rows
+    def direction(
+        self, aim: Vectors, row_aim: Array, flow_aim: Array, keep: float
+    ) -> tuple[ConeStep, Vectors, Vectors]:
+        """The step to point o (W dy + W^-1 ds) = aim, u dt + t du = row_aim and v deps + eps dv = flow_aim with
+        residuals reduced to the part `keep`, W^-1 ds and W dy."""
+        program, W, now, rows, state = self.program, self.W, self.now, self.program.rows, self.state
+        is_flowing = program.flow is not None
         t, u, r_t = self.state.t, self.state.u, now.r_t * (1.0 - keep)
         r_s = now.r_s * (1.0 - keep)
         both = soc.divide(self.point, aim)
         aimed = W.undo(both)
         force, strain = program.pull(aimed + W.undo_twice(r_s))
-        half = _solve(self.root, strain + (1.0 - keep) * now.r_e)
+        half = _solve(self.root, strain + (1.0 - keep) * now.r_e + (flow_aim / state.eps if is_flowing else 0.0))
         force = force - np.einsum("nij,ni->nj", self.couple, half).reshape(force.shape)
         dz = self.solve((1.0 - keep) * now.r_x + program.fem.force(force) + rows.force((row_aim + u * r_t) / t))
+        df = 0.0
+        if self.by_load is not None:
+            df = ((1.0 - keep) * now.r_f - float(program.load @ dz)) / float(program.load @ self.by_load)
+            dz = dz + df * self.by_load
         dF = program.fem.gradient_change(dz)
         moved = np.einsum("nij,nj->ni", self.couple, dF.reshape(len(dF), -1))
         deps = _solve(self.root.swapaxes(1, 2), half - moved)
@@ -115,13 +131,17 @@ class _Newton:
         scaled = W.undo(ds)
         dt = rows.A @ dz - r_t
         du = (row_aim - u * dt) / t
-        return ConeStep(dz, deps, ds, aimed - W.undo(scaled), d_wanted, dt, du, keep), scaled, both - scaled
+        dv = (flow_aim - state.v * deps) / state.eps if is_flowing else state.v
+        return ConeStep(dz, deps, ds, aimed - W.undo(scaled), d_wanted, dt, du, dv, keep, df), scaled, both - scaled
 
 
 def limited(program: Program, state: ConeState, step: ConeStep, boundary: float) -> ConeStep:
     """The step with lengths, at most 1, of this part of the way to the boundary; equal where strains tie s and y."""
     primal = min(1.0, boundary * soc.largest_step(state.s, step.ds), boundary * longest(state.t, step.dt))
     dual = min(1.0, boundary * soc.largest_step(state.y, step.dy), boundary * longest(state.u, step.du))
+    if program.flow is not None:
+        primal = min(primal, boundary * longest(state.eps, step.deps))
+        dual = min(dual, boundary * longest(state.v, step.dv))
     both = min(primal, dual)
     return replace(step, primal=both, dual=both) if program.lead else replace(step, primal=primal, dual=dual)
 
@@ -138,14 +158,17 @@ def find_step(program: Program, state: ConeState, now: Measure, least_gap: float
     unit = Vectors(np.ones(len(program.c)), np.zeros_like(state.s.tail))
     mu = mean_product(program, state)
     square = soc.product(newton.point, newton.point)
-    row_square = state.t * state.u
-    affine, scaled_ds, scaled_dy = newton.direction(square * -1.0, -row_square, 0.0)
+    row_square, flow_square = state.t * state.u, state.eps * state.v if state.v.size else state.v
+    affine, scaled_ds, scaled_dy = newton.direction(square * -1.0, -row_square, -flow_square, 0.0)
     affine = limited(program, state, affine, 1.0)
     sigma = (1.0 - min(affine.primal, affine.dual)) ** 3
     second = soc.product(scaled_ds, scaled_dy)
     aim = max(sigma * mu, min(mu, least_gap * program.scale / program.area))
+    if program.is_limit and max(now.unbalanced, now.strain) > STEP.ahead * now.gap:
+        aim = mu
     row_aim = aim - row_square - affine.dt * affine.du
-    step, _, _ = newton.direction(unit * aim - square - second, row_aim, sigma)
+    flow_aim = aim - flow_square - affine.deps * affine.dv if state.v.size else state.v
+    step, _, _ = newton.direction(unit * aim - square - second, row_aim, flow_aim, sigma)
     if not (np.all(np.isfinite(step.dz)) and np.all(np.isfinite(step.dy.head))):
         return None
     return limited(program, state, step, STEP.boundary)
@@ -160,6 +183,8 @@ def advance(state: ConeState, step: ConeStep) -> ConeState:
         state.y + step.dy * step.dual,
         state.t + step.primal * step.dt,
         state.u + step.dual * step.du,
+        state.v + step.dual * step.dv,
+        state.factor + step.dual * step.df,
     )
 
 

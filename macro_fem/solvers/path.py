@@ -96,15 +96,27 @@ def times(W: Array, v: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
+class Flow:
+    """Rings that flow, by a `PlasticLaw`: strength (nq,), by how many times those at each point are stronger than those
+    of the law; is_limit: whether the largest factor on the load is asked for, and the way on which rings flow under it.
+    """
+
+    strength: Array
+    is_limit: bool = False
+
+
+@dataclass(frozen=True, eq=False)
 class Terms:
     """What a curtain has beside its law and its load.
 
-    compliance (3, 3): mm/N in tensor components. walls: half-spaces on points. inertia: of a step of motion.
+    compliance (3, 3): mm/N in tensor components. walls: half-spaces on points. inertia: of a step of motion. flow: of
+    rings that flow.
     """
 
     compliance: Array = field(default_factory=lambda: np.zeros((3, 3)))
     walls: Walls | None = None
     inertia: Inertia | None = None
+    flow: Flow | None = None
 
 
 RIGID_TERMS = Terms()
@@ -119,6 +131,8 @@ class PathResult(Judged):
     obeyed, `dual` a lower bound of it, N mm, without the constant that supports add. Equilibrated stress in N per mm of
     reference length: P (nq, d, 2), and tensile S = sum of lam_i S_i (nq, 3), with P = F S at the exact answer; psi
     (nq,): sum of c |y_FL|, no less than any P:F in the law. wall_forces (m,), N: the reaction of each half-space.
+    Of rings that flow tau (nq,), N/mm, is the plastic work per area; where their limit is asked for, `dual` and
+    `primal` bound the factor on the load.
     """
 
     stop: str
@@ -134,6 +148,7 @@ class PathResult(Judged):
     iterations: int
     wall_forces: Array
     reach: Reach = FREE
+    tau: Array | None = None
 
     @cached_property
     def verdict(self) -> Verdict:

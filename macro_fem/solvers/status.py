@@ -94,6 +94,7 @@ class Status(StrEnum):
     CONVERGED = "converged"
     TAUT = "taut"
     INFEASIBLE = "infeasible"
+    COLLAPSED = "collapsed"
     STALLED = "stalled"
     ITERATIONS = "iterations"
     NOT_FINITE = "not_finite"
@@ -199,6 +200,10 @@ BLOCKED = (
     "the cone program has a certificate; move the obstacles away or in smaller load steps, or the supports together, "
     "or take a finer mesh if a body is not much larger than its cells"
 )
+COLLAPSED = (
+    "the loads are beyond the limit of the curtain (limit_factor): it stretches without end under them, and what is "
+    "shown is the curtain whose rings do not flow; take smaller loads, thicker wire or a stronger metal"
+)
 CONVERGED = "the gap between upper and lower bound is closed"
 ROUNDED = "the gap between upper and lower bound is closed up to rounding: {numbers}"
 TAUT = (
@@ -229,11 +234,14 @@ def judged(
 ) -> Verdict:
     """The status of an answer after `n` iterations.
 
-    stop: why the solver stopped, "infeasible" by the supports, "blocked" by obstacles, or a key of `WHY`; relaxation:
+    stop: why the solver stopped, "infeasible" by the supports, "blocked" by obstacles, "collapsed" by loads beyond the
+    limit of rings that flow, or a key of `WHY`; relaxation:
     by how much the law was relaxed, None where rings are elastic; remedy: what helps where supports are out of reach.
     """
     if stop == "infeasible" or reach.is_out:
         return Verdict(Status.INFEASIBLE, INFEASIBLE.format(excess=100.0 * reach.excess, remedy=remedy))
+    if stop == "collapsed":
+        return Verdict(Status.COLLAPSED, COLLAPSED)
     if stop == "blocked":
         return Verdict(Status.INFEASIBLE, BLOCKED)
     numbers = NUMBERS.format(evidence)

@@ -72,13 +72,13 @@ def ring_volume(r1_mm: float, r2_mm: float) -> float:
     return 2.0 * math.pi**2 * r1_mm * r2_mm**2
 
 
-def gyration_radius(r1_mm: float, r2_mm: float) -> float:
-    """The radius of gyration in mm of a ring about a diameter.
+def gyration_radius(r1_mm: Any, r2_mm: Any) -> Any:
+    """The radius of gyration in mm of a ring about a diameter; of many if radii are arrays.
 
     >>> round(gyration_radius(5.0, 0.5), 6)
     3.557562
     """
-    return math.sqrt(r1_mm**2 / 2.0 + 5.0 * r2_mm**2 / 8.0)
+    return (r1_mm**2 / 2.0 + 5.0 * r2_mm**2 / 8.0) ** 0.5
 
 
 def areal_mass(r1_mm: float, r2_mm: float, area_mm2: float, density_kg_per_mm3: float) -> float:

@@ -5,7 +5,7 @@ Lengths are in units of r1. Each pair has the key a n + b with a < b, by which i
 Half-spaces and balls are further rows of `MeshPose`. The lowest point of a ring over the plane m.(x - p) = 0 has the
 height h - s, with h = m.(c - p) and s the sine of the angle between its normal n and m. p lies r2 off the half-space,
 so that wires are bare lines. s has a kink where a ring lies flat on the plane. The constraint is g = h - s^2/h >= 0 for
-h > 0, which is equivalent and smooth; (h - s) <= g <= 2 (h - s).
+h > 0, which is equivalent and smooth; (h - s) <= g <= 2 (h - s). Rings of another radius a have a s in place of s.
 
 The point of a ring nearest to a ball of radius R, r2 included, whose centre is at d from that of the ring, has the
 distance D with D^2 - R^2 = A - 2 s, A = d.d + 1 - R^2 and s = |d x n|. The constraint g = (A - 4 s^2/A) / (2 R) >= 0
@@ -57,12 +57,13 @@ class SoftMinima:
     outer: float = 30.0
     count: int = 26
 
-    def angles(self, minima: Minima, wire: float, growth: float) -> tuple[Flags, Array]:
-        """Which minima (m,) are soft, and the angles (m,) from them at which the gap has grown by `growth` times."""
-        gap = np.maximum(minima.distance - 2.0 * wire, 1e-13)
+    def angles(self, minima: Minima, wires: Array, growth: float) -> tuple[Flags, Array]:
+        """Which minima (m,) are soft, and the angles (m,) from them at which the gap has grown by `growth` times; wires
+        (m,): radii of both wires together."""
+        gap = np.maximum(minima.distance - wires, 1e-13)
         stiff = np.maximum(minima.curvature, 0.0) / minima.distance
         soft = (minima.curvature < self.curvature) & (stiff**2 < self.flatness * gap)
-        return soft, np.sqrt(np.sqrt(stiff * stiff + 4.0 * growth * gap) - stiff)
+        return soft, np.sqrt(np.sqrt(stiff * stiff + 4.0 * growth * gap) - stiff) / np.maximum(norm(minima.rho_a), 1e-9)
 
 
 SOFT = SoftMinima()
@@ -73,12 +74,15 @@ class MeshPose:
     """Positions of rings in units of r1: centres x (n, 3) and unit normals (n, 3).
 
     The last `walls` rows are half-spaces: a point of the plane and the unit normal, towards the rings; or balls: their
-    centres. radius (walls,): that of balls, inf for half-spaces.
+    centres. radius (walls,): that of balls, inf for half-spaces. radii, wires (rows,) or (1,): of the centre circles in
+    r1 and of the wires in r2; one number is that of all rings. Rows of walls count as wires of one r2.
     """
 
     x: Array
     normal: Array
     radius: Array = field(default_factory=lambda: np.zeros(0))
+    radii: Array = field(default_factory=lambda: np.ones(1))
+    wires: Array = field(default_factory=lambda: np.ones(1))
 
     @property
     def walls(self) -> int:
@@ -92,7 +96,22 @@ class MeshPose:
 
     def moved(self, q: Array) -> MeshPose:
         """Rings after the step q (n, 5): centres move by the first three, normals turn by the last two."""
-        return MeshPose(self.x + q[:, :3], turned(self.normal, q[:, 3:]), self.radius)
+        return replace(self, x=self.x + q[:, :3], normal=turned(self.normal, q[:, 3:]))
+
+    def radii_of(self, rows: Index) -> Array:
+        """Radii (k,) of the rings `rows` (k,)."""
+        return np.broadcast_to(self.radii, len(self.x))[rows]
+
+    def wires_of(self, a: Index, b: Index, wire: float) -> Array:
+        """Radii (k,) of both wires of the pairs a, b (k,) together in r1; wire = r2/r1."""
+        wires = np.broadcast_to(self.wires, len(self.x))
+        return wire * (wires[a] + wires[b])
+
+    def at_walls(self, ring: Index, wall: Index, wire: float) -> tuple[Array, ...]:
+        """What `wall_gaps` and `wall_derivatives` take for the pairs (k,) of a ring and a wall."""
+        sizes = self.radii_of(ring), self.wires_of(ring, ring, 0.5 * wire) - wire
+        places = self.x[ring], self.normal[ring], self.x[wall], self.normal[wall], self.radius[wall - self.rings]
+        return *places, *sizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +135,11 @@ class MeshContacts:
     b: Index
 
     @property
+    def wires(self) -> Array:
+        """Radii (p,) of both wires of the pairs together."""
+        return self.pose.wires_of(self.a, self.b, self.wire)
+
+    @property
     def is_wall(self) -> Flags:
         """Pairs (p,) with half-spaces and balls."""
         return np.asarray(self.b >= self.pose.rings)
@@ -129,11 +153,11 @@ class MeshContacts:
     def clearance(self) -> Array:
         """Relative travel (p,) of a pair beyond which a step is not safe; inf for half-spaces.
 
-        Wires come no nearer than r1 to the centre of a ball that fits through no ring: it cannot slip through the mesh.
+        Wires come no nearer than the radius of their ring to the centre of a ball that does not fit through it.
         """
-        distance = np.minimum(self.deepest, self.reach) + 4.0 * self.wire
-        R, wall = self.pose.radius, self.is_wall
-        distance[wall] = (2.0 * R - np.where(R > 1.0, 2.0, 0.0))[self.b[wall] - self.pose.rings]
+        distance, wall = np.minimum(self.deepest, self.reach) + 2.0 * self.wires, self.is_wall
+        R, a = self.pose.radius[self.b[wall] - self.pose.rings], self.pose.radii_of(self.a[wall])
+        distance[wall] = 2.0 * R - np.where(a < R, 2.0 * a, 0.0)
         return distance
 
     @property
@@ -182,12 +206,12 @@ class FixedPoints(Rows):
         row, rho = row[row >= 0], self.rho[row >= 0]
         a, b = np.divmod(key[row], len(pose.x))
         d, na, nb = pose.x[b] - pose.x[a], pose.normal[a], pose.normal[b]
-        return _point_contacts(row, foot_on_circle(rho, na), d, nb)
+        return _point_contacts(row, foot_on_circle(rho, na, pose.radii_of(a)), d, nb, pose.radii_of(b))
 
 
 def make_fixed_points(con: MeshContacts, pairs: Index, soft: SoftMinima = SOFT) -> FixedPoints:
     """Points around the soft minima of these pairs."""
-    is_soft, outer = soft.angles(con.minima, con.wire, soft.outer)
+    is_soft, outer = soft.angles(con.minima, con.wires[con.minima.pair], soft.outer)
     rows = np.flatnonzero(is_soft & ~con.fixed & np.isin(con.minima.pair, pairs))
     minima, angle = con.minima.take(rows), outer[rows] * np.linspace(-1.0, 1.0, soft.count)[:, None]
     rho = _points_beside(minima, con.pose.normal[con.a], angle)
@@ -209,54 +233,57 @@ def find_mesh_contacts(
 ) -> MeshContacts:
     """All contacts whose gap is below `reach` (r1); wire = r2/r1.
 
-    Pairs are those of rings with centres nearer than 2 + 2 wire + reach, the linked ones (m, 2), and rings near walls.
+    Pairs are those of rings whose centres are near enough for that, the linked ones (m, 2), and rings near walls.
     guard_points: whether points beside soft minima are contacts as well. `fixed_points` replace the minima near them.
     """
-    n, rings, limit = len(pose.x), pose.rings, 2.0 * wire + reach
-    near = cKDTree(pose.x[:rings]).query_pairs(2.0 + limit, output_type="ndarray").astype(np.int64)
+    n, rings, most = len(pose.x), pose.rings, 2.0 * float(pose.radii.max() + wire * pose.wires.max()) + reach
+    near = cKDTree(pose.x[:rings]).query_pairs(most, output_type="ndarray").astype(np.int64)
+    if len(pose.radii) > 1:
+        a, b = near.T
+        most_here = pose.radii_of(a) + pose.radii_of(b) + pose.wires_of(a, b, wire) + reach
+        near = near[norm(pose.x[b] - pose.x[a]) < most_here]
     ring, wall = np.repeat(np.arange(rings), pose.walls), np.tile(np.arange(rings, n), rings)
-    radius = pose.radius[wall - rings]
-    g = wall_gaps(pose.x[ring], pose.normal[ring], pose.x[wall], pose.normal[wall], radius)
-    is_near = (g < reach) | np.isfinite(radius)  # balls may come from afar in one step
+    g = wall_gaps(*pose.at_walls(ring, wall, wire))
+    is_near = (g < reach) | np.isfinite(pose.radius[wall - rings])  # balls may come from afar in one step
     keys = near.min(axis=1) * n + near.max(axis=1), linked[:, 0] * n + linked[:, 1], (ring * n + wall)[is_near]
     key = np.unique(np.concatenate(keys))
     a, b = np.divmod(key, n)
     d, na, nb = pose.x[b] - pose.x[a], pose.normal[a], pose.normal[b]
+    ra, rb, wires = pose.radii_of(a), pose.radii_of(b), pose.wires_of(a, b, wire)
     two, at_wall = np.flatnonzero(b < rings), np.flatnonzero(b >= rings)
     parts = []
     for first in range(0, max(len(two), 1), _CHUNK):
         rows = two[first : first + _CHUNK]
-        minima = local_minima(d[rows], na[rows], nb[rows], reach=limit)
+        minima = local_minima(d[rows], na[rows], nb[rows], (ra[rows], rb[rows]), reach=wires[rows] + reach)
         parts.append(replace(minima, pair=rows[minima.pair]))
     minima = parts[0].join(parts[1:])
     deepest = np.full(len(key), np.inf)
-    np.minimum.at(deepest, minima.pair, minima.distance - 2.0 * wire)
+    np.minimum.at(deepest, minima.pair, minima.distance - wires[minima.pair])
     at_points = fixed_points.minima(pose, key)
     if len(fixed_points.key):
         tree = cKDTree(_located(fixed_points.key, fixed_points.rho))
         distance, point = tree.query(_located(key[minima.pair], minima.rho_a))
         minima = minima.take(distance >= fixed_points.spacing[point])
     free, zero, g = len(minima.pair), np.zeros((len(at_wall), 3)), g[is_near]
-    others = [at_points, *([_guard_points(minima, d, na, nb, (wire, limit), soft)] if guard_points else ())]
-    others.append(Minima(at_wall, -nb[at_wall], zero, zero, g + 2.0 * wire, np.ones(len(g))).take(g < reach))
+    others = [at_points, *([_guard_points(minima, d, na, nb, rb, wires, reach, soft)] if guard_points else ())]
+    others.append(Minima(at_wall, -nb[at_wall], zero, zero, g + wires[at_wall], np.ones(len(g))).take(g < reach))
     minima = minima.join(others)
     order = np.argsort(minima.pair, kind="stable")
     minima, fixed = minima.take(order), order >= free
-    gap = minima.distance - 2.0 * wire
+    gap = minima.distance - wires[minima.pair]
     np.minimum.at(deepest, minima.pair, gap)
     return MeshContacts(pose, wire, reach, key, minima, fixed, gap, deepest, a, b)
 
 
 def _guard_points(
-    minima: Minima, d: Array, na: Array, nb: Array, wire_and_limit: tuple[float, float], soft: SoftMinima
+    minima: Minima, d: Array, na: Array, nb: Array, rb: Array, wires: Array, reach: float, soft: SoftMinima
 ) -> Minima:
     """Points of ring a to both sides of each soft minimum, which is about to split or has just merged."""
-    wire, limit = wire_and_limit
-    is_soft, angle = soft.angles(minima, wire, soft.growth)
+    is_soft, angle = soft.angles(minima, wires[minima.pair], soft.growth)
     rows, angle = minima.take(is_soft), np.minimum(angle[is_soft], 0.4)
     pair = np.tile(rows.pair, 2)
-    points = _point_contacts(pair, _points_beside(rows, na, np.stack([angle, -angle])), d[pair], nb[pair])
-    return points.take(points.distance <= limit)
+    points = _point_contacts(pair, _points_beside(rows, na, np.stack([angle, -angle])), d[pair], nb[pair], rb[pair])
+    return points.take(points.distance <= wires[pair] + reach)
 
 
 def _points_beside(minima: Minima, na: Array, angle: Array) -> Array:
@@ -265,9 +292,9 @@ def _points_beside(minima: Minima, na: Array, angle: Array) -> Array:
     return np.asarray(np.cos(angle)[..., None] * minima.rho_a + np.sin(angle)[..., None] * tau).reshape(-1, 3)
 
 
-def _point_contacts(pair: Index, rho_a: Array, d: Array, nb: Array) -> Minima:
+def _point_contacts(pair: Index, rho_a: Array, d: Array, nb: Array, rb: Array) -> Minima:
     """Points (m, 3) of ring a with the nearest points of ring b, as contacts of the pairs (m,)."""
-    rho_b = foot_on_circle(rho_a - d, nb)
+    rho_b = foot_on_circle(rho_a - d, nb, rb)
     w = d + rho_b - rho_a
     distance = norm(w)
     return Minima(pair, w / distance[:, None], rho_a, rho_b, distance, np.ones(len(pair)))
@@ -281,7 +308,8 @@ def track_gaps(old: MeshContacts, pose: MeshPose) -> Array:
     gap = np.full(len(old.gap), np.inf)
     free = np.flatnonzero(~old.fixed)
     d, na, nb = pose.x[old.b] - pose.x[old.a], pose.normal[old.a], pose.normal[old.b]
-    gap[free] = followed_minima(old.minima.take(free), d, na, nb).distance - 2.0 * old.wire
+    near, radii = old.minima.take(free), (pose.radii_of(old.a), pose.radii_of(old.b))
+    gap[free] = followed_minima(near, d, na, nb, radii).distance - old.wires[near.pair]
     return gap
 
 
@@ -293,15 +321,16 @@ def nearest_contacts(old: MeshContacts, new: MeshContacts) -> Index:
 
 
 def _located(key: Index, rho: Array) -> Array:
-    """Points (k, 4) of rho (k, 3) and the scaled key: points of a pair are within 2, those of other pairs farther."""
-    return np.column_stack([9.0 * key, rho])
+    """Points (k, 4) of the scaled key and the direction of rho (k, 3): distances are angles, those of points of a pair
+    within 2 and of other pairs farther."""
+    return np.column_stack([9.0 * key, rho / np.maximum(norm(rho), 1e-9)[:, None]])
 
 
 def links_intact(con: MeshContacts, linked_keys: Index) -> bool:
     """Whether exactly the linked pairs interlink among all near pairs; far pairs cannot."""
     x, normal, rings = con.pose.x, con.pose.normal, ~con.is_wall
     a, b = con.a[rings], con.b[rings]
-    linked = are_linked(x[b] - x[a], normal[a], normal[b])
+    linked = are_linked(x[b] - x[a], normal[a], normal[b], (con.pose.radii_of(a), con.pose.radii_of(b)))
     return bool((linked == np.isin(con.key[rings], linked_keys)).all())
 
 
@@ -328,32 +357,52 @@ def transfer_forces(old: MeshContacts, force: Array, new: MeshContacts, mu: Arra
     return np.where(out > 0.0, out, central)
 
 
-def wall_gaps(x: Array, normal: Array, place: Array, m: Array, radius: Array) -> Array:
-    """g (k,) of rings over planes, or balls of finite radius; negative where a ring is partly inside."""
-    h, y, _ = _height(x, place, m, radius)
-    b = dot(y, y) - dot(normal, y) ** 2
+def wall_gaps(
+    x: Array,
+    normal: Array,
+    place: Array,
+    m: Array,
+    radius: Array,
+    a: Array | float = 1.0,
+    thicker: Array | float = 0.0,
+) -> Array:
+    """g (k,) of rings of radius a over planes, or balls of finite radius; negative where a ring is partly inside;
+    thicker: what the wire's radius is more than that of which places and radii of walls know."""
+    h, y, _ = _height(x, place, m, radius, a, thicker)
+    b = a * a * (dot(y, y) - dot(normal, y) ** 2)
     safe = np.where(h > 0.0, h, 1.0)
     return np.asarray(np.where(h > 0.0, h - b / safe, h - np.sqrt(np.maximum(b, 0.0))))
 
 
-def _height(x: Array, place: Array, m: Array, radius: Array) -> tuple[Array, Array, Array]:
+def _height(
+    x: Array, place: Array, m: Array, radius: Array, a: Array | float, thicker: Array | float
+) -> tuple[Array, Array, Array]:
     """h (k,), y (k, 3), and the derivative of y by d, 1/R (k,)."""
-    d, curved = place - x, 1.0 / radius
-    flat = np.isinf(radius)
+    d, flat = place - x, np.isinf(radius)
+    R = np.where(flat, 1.0, radius + thicker)
+    curved = np.where(flat, 0.0, 1.0 / R)
     y = np.where(flat[:, None], -m, curved[:, None] * d)
-    R = np.where(flat, 1.0, radius)
-    return np.where(flat, dot(y, d), 0.5 * (dot(d, d) + 1.0 - R * R) / R), y, curved
+    return np.where(flat, dot(y, d) - thicker, 0.5 * (dot(d, d) + a * a - R * R) / R), y, curved
 
 
-def wall_derivatives(x: Array, normal: Array, place: Array, m: Array, radius: Array) -> tuple[Array, Array]:
+def wall_derivatives(
+    x: Array,
+    normal: Array,
+    place: Array,
+    m: Array,
+    radius: Array,
+    a: Array | float = 1.0,
+    thicker: Array | float = 0.0,
+) -> tuple[Array, Array]:
     """Gradient (k, 7) and second derivative (k, 7, 7) of g: way of the body as seen from the ring, tilts of both."""
-    h, y, k = _height(x, place, m, radius)
+    h, y, k = _height(x, place, m, radius, a, thicker)
+    a2 = np.broadcast_to(np.asarray(a * a), h.shape)
     c, p = dot(normal, y), cross(normal, y)
-    b = dot(p, p)
+    b = a2 * dot(p, p)
     frame = np.stack(tangent_frame(normal), axis=2)
     t = (p[:, :, None] * frame).sum(axis=1)
     across = y - c[:, None] * normal
-    by_d, by_tilt = (2.0 * k)[:, None] * across, (-2.0 * c)[:, None] * t
+    by_d, by_tilt = (2.0 * a2 * k)[:, None] * across, (-2.0 * a2 * c)[:, None] * t
     G, H = np.zeros((len(h), 7)), np.zeros((len(h), 7, 7))
     part = 1.0 + b / h**2
     G[:, :3] = part[:, None] * y - by_d / h[:, None]
@@ -362,12 +411,14 @@ def wall_derivatives(x: Array, normal: Array, place: Array, m: Array, radius: Ar
     both = y[:, :, None] * by_d[:, None, :]
     H[:, :3, :3] = (k * part)[:, None, None] * one - (2.0 * b / h**3)[:, None, None] * y[:, :, None] * y[:, None, :]
     H[:, :3, :3] += (both + both.transpose(0, 2, 1)) / (h**2)[:, None, None]
-    H[:, :3, :3] -= (2.0 * k**2 / h)[:, None, None] * (one - normal[:, :, None] * normal[:, None, :])
+    H[:, :3, :3] -= (2.0 * a2 * k**2 / h)[:, None, None] * (one - normal[:, :, None] * normal[:, None, :])
     turn = cross(frame.transpose(0, 2, 1), normal[:, None, :]).transpose(0, 2, 1)
     mixed = normal[:, :, None] * t[:, None, :] + c[:, None, None] * turn
-    H[:, :3, 3:5] = y[:, :, None] * by_tilt[:, None, :] / (h**2)[:, None, None] + (2.0 * k / h)[:, None, None] * mixed
+    H[:, :3, 3:5] = (
+        y[:, :, None] * by_tilt[:, None, :] / (h**2)[:, None, None] + (2.0 * a2 * k / h)[:, None, None] * mixed
+    )
     H[:, 3:5, :3] = H[:, :3, 3:5].transpose(0, 2, 1)
-    H[:, 3:5, 3:5] = (2.0 / h)[:, None, None] * (t[:, :, None] * t[:, None, :] - (c**2)[:, None, None] * two)
+    H[:, 3:5, 3:5] = (2.0 * a2 / h)[:, None, None] * (t[:, :, None] * t[:, None, :] - (c**2)[:, None, None] * two)
     return G, H
 
 
@@ -384,22 +435,23 @@ def travel_bounds(con: MeshContacts, q: Array) -> Array:
     wa, wb, na, nb = tilt[a], tilt[b], pose.normal[a], pose.normal[b]
     d, v = pose.x[b] - pose.x[a], q[b, :3] - q[a, :3]
     turn, shift, arm = wb - wa, v - cross(wa, d), cross(na, d)
-    aa, bb, ab = dot(arm, arm) + 1.001, 1.001, -dot(na, nb)
-    ra, rb = dot(na, turn) + dot(arm, shift), -dot(nb, turn)
+    r, s = pose.radii_of(a), pose.radii_of(b)
+    aa, bb, ab = dot(arm, arm) + 1.001 * s * s, 1.001 * s * s, -dot(na, nb) * s * s
+    ra, rb = dot(na, turn) * s * s + dot(arm, shift), -dot(nb, turn) * s * s
     det = aa * bb - ab * ab
     sa, sb = (bb * ra - ab * rb) / det, (aa * rb - ab * ra) / det
     turn, shift = turn + sb[:, None] * nb - sa[:, None] * na, shift - sa[:, None] * arm
     changing_a, changing_b = np.abs(sa) * norm(wa), np.abs(sb) * norm(wb)
-    late = (1.0 + norm(d) + norm(v)) * changing_a + changing_b + (norm(wa) + np.abs(sa)) * norm(v)
-    plain = norm(v) + norm(wa) + norm(wb)
-    return np.asarray(np.minimum(plain, norm(shift) + norm(turn) + 0.5 * late))
+    late = (s + norm(d) + norm(v)) * changing_a + s * changing_b + (norm(wa) + np.abs(sa)) * norm(v)
+    plain = norm(v) + r * norm(wa) + s * norm(wb)
+    return np.asarray(np.minimum(plain, norm(shift) + s * norm(turn) + 0.5 * late))
 
 
 def safe_fractions(con: MeshContacts, q: Array) -> Array:
     """The fraction (p,) of a step within which no wire of a pair can pass through the other.
 
     Circles that cross during the step have D(0) + D(1) <= L, where D is their distance and L the longest relative
-    travel of a point. D(1) >= 2 wire, so L < D(0) + 2 wire is safe; nine tenths of it are allowed.
+    travel of a point. D(1) >= both radii of wires, so L < D(0) + these is safe; nine tenths of it are allowed.
     """
     return np.asarray(np.minimum(1.0, 0.9 * con.clearance / np.maximum(travel_bounds(con, q), 1e-300)))
 
@@ -407,21 +459,23 @@ def safe_fractions(con: MeshContacts, q: Array) -> Array:
 def is_passage_safe(old: MeshContacts, new: MeshContacts, q: Array) -> bool:
     """Whether no ring can have passed through another during the step q (n, 5), by `travel_bounds` for near pairs.
 
-    Circles of other pairs can cross only if their centres come within 2 of each other: their relative travel is then
-    at least the sum of what both ends are beyond 2.
+    Circles of other pairs can cross only if their centres come within the sum of their radii: their relative travel is
+    then at least the sum of what both ends are beyond it.
     """
-    limit = 2.0 * old.wire + old.reach
+    limit = old.wires + old.reach
     rows = find_rows(new.key, old.key)
-    end = np.where(rows >= 0, np.minimum(new.deepest[rows] + 2.0 * old.wire, limit), limit)
-    room = old.clearance + np.where(old.is_wall, 0.0, np.maximum(end - 2.0 * old.wire, 0.0))
+    end = np.where(rows >= 0, np.minimum(new.deepest[rows] + old.wires, limit), limit)
+    room = old.clearance + np.where(old.is_wall, 0.0, np.maximum(end - old.wires, 0.0))
     if (travel_bounds(old, q) >= room).any():
         return False
     x0, x1 = (con.pose.x[: con.pose.rings] for con in (old, new))
     step = x1 - x0
     step = step - 0.5 * (step.max(axis=0) + step.min(axis=0))
-    pairs = cKDTree(0.5 * (x0 + x1)).query_pairs(2.0 + float(norm(step).max()), output_type="ndarray")
+    most = 2.0 * float(old.pose.radii.max()) + float(norm(step).max())
+    pairs = cKDTree(0.5 * (x0 + x1)).query_pairs(most, output_type="ndarray")
     a, b = pairs.astype(np.int64).min(axis=1), pairs.astype(np.int64).max(axis=1)
     far = find_rows(old.key, a * len(old.pose.x) + b) < 0
     travel, d0, d1 = (u[b[far]] - u[a[far]] for u in (step, x0, x1))
-    beyond = np.maximum(norm(d0) - 2.0, 0.0) + np.maximum(norm(d1) - 2.0, 0.0)
+    both = old.pose.radii_of(a[far]) + old.pose.radii_of(b[far])
+    beyond = np.maximum(norm(d0) - both, 0.0) + np.maximum(norm(d1) - both, 0.0)
     return not (dot(travel, travel) >= beyond**2).any()

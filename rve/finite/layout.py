@@ -16,6 +16,7 @@ import numpy as np
 import shapely
 
 from rve.common import Array, Index, InputError, checked
+from rve.common.cell_fields import gyration_radius
 from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.pose import start_pose
 from rve.geometry.weave import WEAVES
@@ -97,9 +98,31 @@ class RingLayout:
         return cls(cell, X, index, area, linked, (float(sides[0]), float(sides[1])), hang_deg)
 
     @property
+    def sizes(self) -> tuple[Array, Array]:
+        """Radii (n,) of the centre circles in r1, and of the wires in r2."""
+        weave, kind = self.cell.weave, self.index[:, 0]
+        return weave.radii[kind], weave.wires[kind]
+
+    @property
+    def weighing_area(self) -> Array:
+        """Reference area (n,) in mm2 of each ring in proportion to its mass: all of the area together."""
+        weave = self.cell.weave
+        if weave.is_of_equal_rings:
+            return self.area
+        share = self.area * weave.masses[self.index[:, 0]]
+        return np.asarray(share * (self.area.sum() / share.sum()))
+
+    @property
     def mass(self) -> Array:
         """Mass (n,) in kg: a whole ring's for a whole brick, less on the boundary."""
-        return np.asarray(self.cell.ring_mass * self.area * self.cell.weave.classes / np.prod(self.sides))
+        masses = float(self.cell.weave.masses.sum())
+        return np.asarray(self.cell.ring_mass * self.weighing_area * masses / np.prod(self.sides))
+
+    @property
+    def gyration_mm(self) -> Array:
+        """Radii of gyration (n, 1) of the rings about a diameter in mm."""
+        radii, wires = self.sizes
+        return np.asarray(gyration_radius(self.cell.r1 * radii, self.cell.r2 * wires))[:, None]
 
     def slack(self) -> tuple[Array, Array]:
         """Centres (n, 3) in mm and unit normals (n, 3) of the slack weave of largest clearance."""

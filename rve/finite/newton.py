@@ -350,10 +350,8 @@ def gradients(con: MeshContacts) -> Array:
 
 def _wall_derivatives(con: MeshContacts, rows: Index) -> tuple[Array, Array]:
     """First and second derivatives of the gaps of contacts `rows`, all with half-spaces or balls."""
-    pair, x, normal = con.minima.pair[rows], con.pose.x, con.pose.normal
-    ring, wall = con.a[pair], con.b[pair]
-    radius = con.pose.radius[wall - con.pose.rings]
-    return wall_derivatives(x[ring], normal[ring], x[wall], normal[wall], radius)
+    pair = con.minima.pair[rows]
+    return wall_derivatives(*con.pose.at_walls(con.a[pair], con.b[pair], con.wire))
 
 
 def rows_of(con: MeshContacts, pair: Index, v: Array) -> sparse.csr_matrix:

@@ -384,7 +384,7 @@ class Problem:
         x = centre / r1
         if self.is_space:
             reach = options.disturbance / METHOD.gap_share
-            near = find_mesh_contacts(MeshPose(x, normal), mesh.linked, mesh.cell.wire, reach)
+            near = find_mesh_contacts(replace(self, walls=()).pose(r1 * x, normal), mesh.linked, mesh.cell.wire, reach)
             size = min(options.disturbance, METHOD.gap_share * float(near.deepest.min(initial=np.inf)))
             shift = size * np.random.default_rng(options.seed).uniform(-1.0, 1.0, len(x))
             x[:, 2] += np.where(self.held[:, 2], 0.0, shift)
@@ -392,7 +392,8 @@ class Problem:
             x[bar] = x[bar[0]] + along(mesh.X[bar])[:, None] * (x[bar[-1]] - x[bar[0]])
         pose = self.pose(r1 * x, normal)
         for place, m in zip(pose.x[len(x) :], pose.normal[len(x) :], strict=True):
-            lowest = float(((x - place) @ m - np.sqrt(1.0 - np.minimum((normal @ m) ** 2, 1.0))).min())
+            sine, (radii, wires) = np.sqrt(1.0 - np.minimum((normal @ m) ** 2, 1.0)), mesh.sizes
+            lowest = float(((x - place) @ m - radii * sine - mesh.cell.wire * (wires - 1.0)).min())
             place += min(0.0, lowest - METHOD.clearance) * m
         return pose
 
@@ -401,7 +402,10 @@ class Problem:
         cell, rows = self.mesh.cell, [wall.row(self.mesh.cell.r2) for wall in self.walls]
         place, unit = (np.array([row[k] for row in rows]).reshape(-1, 3) for k in (0, 1))
         radius = np.array([row[2] for row in rows]) / cell.r1
-        return MeshPose(np.concatenate([centre, place]) / cell.r1, np.concatenate([normal, unit]), radius)
+        x, normal = np.concatenate([centre, place]) / cell.r1, np.concatenate([normal, unit])
+        if cell.weave.is_of_equal_rings:
+            return MeshPose(x, normal, radius)
+        return MeshPose(x, normal, radius, *(np.append(size, np.ones(len(rows))) for size in self.mesh.sizes))
 
     def scaled(self, load: float | None = None) -> ScaledProblem:
         """The problem without units, with rows of half-spaces, which are held, and of balls after the rings.

@@ -161,7 +161,10 @@ class FiniteSolution:
         cell, force = self.mesh.cell, self.largest_force
         has_forces = bool(np.isfinite(force).all())
         balls = tuple((b.name, np.array(b.place), b.radius) for b in self.walls if isinstance(b, RoundBody))
-        return DrawnRings(self.centre, self.normal, cell.r1, cell.r2, force if has_forces else None, balls)
+        radii, wires = self.mesh.sizes
+        return DrawnRings(
+            self.centre, self.normal, cell.r1 * radii, cell.r2 * wires, force if has_forces else None, balls
+        )
 
     def view(self, plotter: Plotter | None = None) -> Plotter:
         """All rings in space, coloured by contact force, balls at held rings and arrows of the forces on them.

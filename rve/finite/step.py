@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rve.common import Array, Flags, Index
-from rve.common.cell_fields import gyration_radius
 from rve.finite.contacts import MeshContacts, find_mesh_contacts, find_rows, nearest_contacts
 from rve.finite.layout import RingLayout
 from rve.finite.newton import gradients, spread
@@ -49,8 +48,7 @@ class RingStep:
 def ring_places(rings: FiniteSolution) -> Array:
     """Places (2 n + b, 3) in mm: centres, vectors of one radius of gyration along the axes, centres of balls."""
     balls = np.array([wall.place for wall in rings.walls if isinstance(wall, RoundBody)]).reshape(-1, 3)
-    cell = rings.mesh.cell
-    return np.concatenate([rings.centre, gyration_radius(cell.r1, cell.r2) * rings.normal, balls])
+    return np.concatenate([rings.centre, rings.mesh.gyration_mm * rings.normal, balls])
 
 
 def slack_rings(mesh: RingLayout, *, space: bool = True, walls: Sequence[HalfSpace] = ()) -> FiniteSolution:
@@ -96,7 +94,7 @@ def step_rings(
     they are at the end, balls where they are at the start. A step that has not converged has its status.
     """
     problem = Problem(start.mesh, force, held, at, start.is_space, tuple(walls))
-    n, radius = len(start.centre), gyration_radius(start.mesh.cell.r1, start.mesh.cell.r2)
+    n, radius = len(start.centre), start.mesh.gyration_mm
     scaled, least = _with_inertia(problem, weight, aim, ring_places(start))
     pose = replace(problem, walls=start.walls).pose(start.centre, start.normal)
     contacts = find_mesh_contacts(pose, scaled.linked, scaled.wire, FiniteOptions.reach)
@@ -127,12 +125,13 @@ def _with_inertia(problem: Problem, weight: Array, aim: Array, places: Array) ->
     inert = weight[:, None] * np.abs(aim - places)
     load = float(np.abs(problem.force).sum() + np.abs([wall.load for wall in problem.walls]).sum() + inert.sum())
     load = max(load, 1e-9 * r1 * float(weight.sum()))  # without any force: that of a tiny move of all rings
-    scaled, radius, none = problem.scaled(load), gyration_radius(r1, mesh.cell.r2), np.zeros((len(problem.walls), 3))
+    scaled, radius, none = problem.scaled(load), mesh.gyration_mm, np.zeros((len(problem.walls), 3))
     place, normal = (np.concatenate([part, none]) for part in (aim[:n] / r1, aim[n : 2 * n] / radius))
-    mass, rotary = (np.append(part, none[:, 0]) for part in (weight[:n], weight[n : 2 * n]))
+    turned = weight[n : 2 * n] * radius[:, 0] ** 2
+    mass, rotary = (np.append(part, none[:, 0]) for part in (weight[:n], turned))
     balls = _balls(problem)
     mass[balls], place[balls] = weight[2 * n :], aim[2 * n :] / r1
-    inertia = RingInertia(mass * r1 / scaled.unit, place, rotary * radius**2 / (scaled.unit * r1), normal)
+    inertia = RingInertia(mass * r1 / scaled.unit, place, rotary / (scaled.unit * r1), normal)
     # Guard points would come and go from step to step; with inertia the matrix needs none.
     least = np.finfo(float).eps * float(weight @ np.abs(aim).max(axis=1)) / load
     return replace(scaled, inertia=inertia, guard_points=False), least

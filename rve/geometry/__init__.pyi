@@ -17,8 +17,11 @@ from .kinematics import green_lagrange as green_lagrange
 from .kinematics import lattice_strain as lattice_strain
 from .kinematics import load_angles as load_angles
 from .kinematics import second_pk as second_pk
+from .pattern import supercell as supercell
 from .pose import Pose as Pose
 from .pose import deformation as deformation
+from .pose import mirror_modes as mirror_modes
+from .pose import mirrored as mirrored
 from .pose import moved as moved
 from .pose import pair_geometry as pair_geometry
 from .pose import pair_maps as pair_maps
@@ -36,4 +39,4 @@ from .weave import FOUR_IN_ONE as FOUR_IN_ONE
 from .weave import SIX_IN_ONE as SIX_IN_ONE
 from .weave import WEAVES as WEAVES
 from .weave import Weave as Weave
-from .weave import supercell as supercell
+from .weave import read_weave as read_weave

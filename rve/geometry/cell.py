@@ -14,7 +14,8 @@ from rve.common.cell_fields import ArealMass, Density, Length, areal_mass, check
 from rve.common.materials import STEEL, Material, named_material
 from rve.common.ring_sizes import RING_SIZES, radii_of
 from rve.common.typed import read_typed
-from rve.geometry.weave import FOUR_IN_ONE, WEAVES, Weave, named_weave, supercell
+from rve.geometry.pattern import supercell
+from rve.geometry.weave import FOUR_IN_ONE, WEAVES, Drawing, Weave, drawing_of, named_weave, woven
 
 CellCount = Annotated[int, Meta(ge=1, le=4)]
 """Primitive cells on a side of a larger one: 4 x 4 of them have 160 coordinates."""
@@ -46,7 +47,7 @@ class Cell(Typed):
     (8e-06, 8e-06)
     """
 
-    r1: Length = 5.0
+    r1: Length = 5.0  # of the weave's first ring; its others are in proportion
     r2: Length = 0.5
     weave: Weave = FOUR_IN_ONE  # or its name
     grain: Literal["y", "x"] = "y"
@@ -120,10 +121,21 @@ class Cell(Typed):
         limit = self.weave.planar_ratio
         if self.r1 / self.r2 <= limit or (self.centres == "space" and self.cells[0] > 1):
             return ""
+        if not limit:
+            return (
+                f"whether {self.weave.name} does more work under some loads where its rings leave the plane was not "
+                "tried: --cells 2x2 --centres space tells"
+            )
         return (
             f"{self.weave.name} with r1/r2 above {limit:g} does more work under some loads where its rings leave the "
             "plane: these strains are no bound; --cells 2x2 --centres space finds those states"
         )
+
+    @property
+    def drawing(self) -> Drawing | None:
+        """The rings of a weave that is not in the catalogue, in its slack pose."""
+        weave = self.weave
+        return None if WEAVES.get(weave.name) == weave else weave.drawing(self.r1, self.r2)
 
     @property
     def wire(self) -> float:
@@ -132,7 +144,7 @@ class Cell(Typed):
 
     @property
     def ring_mass(self) -> float:
-        """Mass of one ring in kg."""
+        """Mass of one ring of radius r1 and wire r2 in kg; those of the classes are `weave.masses` times that."""
         return self.density * ring_volume(self.r1, self.r2)
 
 
@@ -142,6 +154,7 @@ class CellInfo(Typed):
 
     b_x_mm, b_y_mm: sides of the reference cell, one primitive cell, chosen by `reference` (`rve.DirectOptions`).
     weave, grain: see `Cell`; the weave is None where a file does not name one. material: None where it is not known.
+    drawing: the rings of a weave that is not in the catalogue.
 
     >>> CellInfo.of(Cell(), (11.0, 12.646069623526)).cell() == Cell()
     True
@@ -156,6 +169,7 @@ class CellInfo(Typed):
     grain: Literal["y", "x"] = "y"
     reference: Literal["side-by-side", "locked"] = "side-by-side"
     material: Material | None = None
+    drawing: Drawing | None = None
 
     @classmethod
     def of(
@@ -163,9 +177,10 @@ class CellInfo(Typed):
     ) -> CellInfo:
         """The rings of a cell whose reference state has these sides b_x, b_y."""
         weave, (b_x, b_y) = cell.weave, sides_mm
-        area = b_x * b_y * weave.repeat[0] * weave.repeat[1] / weave.classes  # of one ring
+        area = b_x * b_y * weave.repeat[0] * weave.repeat[1] / float(weave.masses.sum())  # of a ring r1, r2
         mass = areal_mass(cell.r1, cell.r2, area, cell.density)
-        return cls(cell.r1, cell.r2, b_x, b_y, mass, weave.name, cell.grain, reference, cell.material)
+        named = weave.name, cell.grain, reference, cell.material, cell.drawing
+        return cls(cell.r1, cell.r2, b_x, b_y, mass, *named)
 
     @property
     def sides_mm(self) -> tuple[float, float]:
@@ -173,18 +188,24 @@ class CellInfo(Typed):
         return self.b_x_mm, self.b_y_mm
 
     @property
+    def pattern(self) -> Weave | None:
+        """The weave; None where it is not known."""
+        return WEAVES.get(str(self.weave)) if self.drawing is None else woven(self.drawing, is_slack=True)
+
+    @property
     def is_mirrored(self) -> bool:
         """Whether the weave is its own mirror image; a weave that is not known counts as chiral."""
-        return self.weave in WEAVES and WEAVES[self.weave].is_mirrored
+        return self.pattern is not None and self.pattern.is_mirrored
 
     def cell(self) -> Cell:
         """The mesh of these rings, of steel if their material is not known; InputError if their weave is not known."""
-        if self.weave not in WEAVES:
+        weave = self.pattern
+        if weave is None:
             raise InputError(
                 f"a reference cell of {self.b_x_mm:g} x {self.b_y_mm:g} mm is of no known weave, r1 = {self.r1_mm:g}, "
                 f"r2 = {self.r2_mm:g} mm; make table and law again with rve table and homogenize fit"
             )
-        return Cell(self.r1_mm, self.r2_mm, WEAVES[self.weave], self.grain, material=self.material or STEEL)
+        return Cell(self.r1_mm, self.r2_mm, weave, self.grain, material=self.material or STEEL)
 
     def check_same(self, other: CellInfo, where: str, name: str) -> None:
         """InputError if `other` are rings of another weave or shape, of any size; `where` names them, `name` these."""
@@ -213,6 +234,8 @@ def read_cell_info(record: Mapping[str, Any], where: str) -> CellInfo:
     area = 0.5 * sizes["b_x_mm"] * sizes["b_y_mm"]  # of one ring, in every weave
     mass = {"areal_mass_kg_per_m2": areal_mass(sizes["r1_mm"], sizes["r2_mm"], area, density)}
     words = {key: record[key] for key in ("weave", "grain", "reference") if key in record}
+    if record.get("drawing") is not None:
+        words["drawing"] = drawing_of(record["drawing"], f"{where} drawing:")
     return read_typed(CellInfo, mass | sizes | words | {"material": material}, where)
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common import Array, Flags, Rows
+from rve.geometry.pattern import Pattern
 from rve.geometry.pose import Pose, pair_geometry
 from rve.geometry.ring_pair import Minima, are_linked, cross, dot, local_minima, norm
-from rve.geometry.weave import Weave
 
 SLOTS = 2  # minima kept per pair of rings, the lowest two: linked rings have no more
 SHELL = 4
@@ -49,17 +49,21 @@ class CellContacts(Rows):
         return np.asarray(self.gap.reshape(len(self.gap), -1).min(axis=1))
 
 
-def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float) -> CellContacts:
+def find_contacts(pose: Pose, weave: Pattern, wire: float, reach: float) -> CellContacts:
     """Every contact of every case whose gap is below `reach` (in r1), and whether links are intact; wire = r2/r1."""
     d, na, nb = (x.reshape(-1, 3) for x in pair_geometry(pose, weave))
-    n, p, limit = len(pose.lattice), len(weave.pairs), 2.0 * wire + reach
-    near = np.flatnonzero(can_touch(d, limit))
-    found = local_minima(d[near], na[near], nb[near], reach=limit)
+    n, p = len(pose.lattice), len(weave.pairs)
+    wires, (ra, rb) = wire * weave.pair_wires, (np.tile(radius, n) for radius in weave.pair_radii)
+    limit = np.tile(wires + reach, n)
+    near = np.flatnonzero(can_touch(d, ra + rb + limit))
+    found = local_minima(d[near], na[near], nb[near], (ra[near], rb[near]), reach=limit[near])
     rank = np.zeros(len(found.pair), dtype=int)
     for back in range(1, SLOTS + 1):
         rank[back:] += found.pair[back:] == found.pair[:-back]
     found = found.take(rank < SLOTS)
     slot = near[found.pair] * SLOTS + rank[rank < SLOTS]
+
+    gap = found.distance - wires[near[found.pair] % p]
 
     def slots(values: NDArray[Any], empty: Any) -> NDArray[Any]:
         out = np.full((n * p * SLOTS, *values.shape[1:]), empty, dtype=values.dtype)
@@ -68,26 +72,27 @@ def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float) -> CellCo
 
     return CellContacts(
         slots(np.ones(len(slot), dtype=bool), False),
-        slots(found.distance - 2.0 * wire, np.inf),
+        slots(gap, np.inf),
         slots(found.distance, np.inf),
         slots(found.curvature, 0.0),
         slots(found.rho_a, 0.0),
         slots(found.rho_b, 0.0),
         slots(found.normal, 0.0),
-        (are_linked(d, na, nb).reshape(n, p) == weave.linked).all(axis=1),
+        (are_linked(d, na, nb, (ra, rb)).reshape(n, p) == weave.linked).all(axis=1),
     )
 
 
-def can_touch(d: Array, limit: float) -> Flags:
-    """Whether circles of radius 1 with offsets d (..., 3) can come as near as `limit`."""
-    return np.asarray(dot(d, d) < (2.0 + limit) ** 2)
+def can_touch(d: Array, limit: Array | float) -> Flags:
+    """Whether offsets d (..., 3) are below `limit`, the sum of two radii and of the distance looked for."""
+    return np.asarray(dot(d, d) < limit**2)
 
 
-def parallel_clearance(before: Pose, after: Pose, weave: Weave, wire: float, samples: int = 12) -> Array:
+def parallel_clearance(before: Pose, after: Pose, weave: Pattern, wire: float, samples: int = 12) -> Array:
     """Smallest gap (n,) of parallel rings, those of one class, on the straight way between two poses, ends left out.
 
     They can pass through each other at two points at once, which no linking number tells. With height h and in-plane
-    offset rho their distance is |h| where the projections cross (rho <= 2), and hypot(rho - 2, h) outside.
+    offset rho their distance is |h| where the projections cross (rho <= 2 a), and hypot(rho - 2 a, h) outside. Of
+    wires with another radius than r2 the distance counts in proportion.
     """
     same = weave.pairs[:, 0] == weave.pairs[:, 1]
     (d0, n0, _), (d1, n1, _) = pair_geometry(before, weave), pair_geometry(after, weave)
@@ -95,11 +100,12 @@ def parallel_clearance(before: Pose, after: Pose, weave: Weave, wire: float, sam
     d, n = ((1.0 - t) * x[:, same] + t * y[:, same] for x, y in ((d0, d1), (n0, n1)))
     h = dot(d, n) / norm(n)
     rho = np.sqrt(np.maximum(dot(d, d) - h**2, 0.0))
-    distance = np.where(rho <= 2.0, np.abs(h), np.hypot(rho - 2.0, h))
+    a, b = (radius[same] for radius in weave.pair_radii)
+    distance = np.where(rho <= a + b, np.abs(h), np.hypot(rho - a - b, h)) * (2.0 / weave.pair_wires[same])
     return np.asarray(distance.min(axis=(0, 2), initial=np.inf) - 2.0 * wire)
 
 
-def unlisted_pairs(weave: Weave) -> Weave:
+def unlisted_pairs(weave: Pattern) -> Pattern:
     """The weave with only the pairs that it does not list, each once, up to `SHELL` primitive cells apart."""
     listed = {tuple(pair) for pair in weave.pairs.tolist()}
     listed |= {(b, a, -i, -j) for a, b, i, j in listed}
@@ -110,12 +116,13 @@ def unlisted_pairs(weave: Weave) -> Weave:
     return replace(weave, pairs=np.array(found, dtype=int).reshape(-1, 4), linked=np.zeros(len(found), dtype=bool))
 
 
-def unlisted_gap(pose: Pose, weave: Weave, wire: float) -> Array:
+def unlisted_gap(pose: Pose, weave: Pattern, wire: float) -> Array:
     """Smallest gap (n,) of unlisted pairs in r1, or a lower bound of it where their centres are too far apart."""
     rest = unlisted_pairs(weave)
     d, _, _ = pair_geometry(pose, rest)
-    bound = np.sqrt((d**2).sum(axis=2)).min(axis=1, initial=np.inf) - 2.0 - 2.0 * wire
-    near = np.flatnonzero(can_touch(d, 2.0 * wire).any(axis=1))
+    reach = sum(rest.pair_radii) + wire * rest.pair_wires
+    bound = (np.sqrt((d**2).sum(axis=2)) - reach).min(axis=1, initial=np.inf)
+    near = np.flatnonzero(can_touch(d, reach).any(axis=1))
     if len(near):
         bound[near] = find_contacts(pose.take(near), rest, wire, np.inf).min_gap
     return np.asarray(bound)
@@ -140,7 +147,7 @@ def slip_gradient(m: Minima, n_a: Array, r_a: float | Array, r_b: float | Array)
     along -= dot(along, u)[:, None] * u  # of a minimum it is normal to u already, to round-off
     along /= norm(along)[:, None]
     t = np.stack([along, cross(u, along)], axis=1)
-    p_a, p_b = m.rho_a + np.multiply.outer(r_a, u), m.rho_b - np.multiply.outer(r_b, u)
+    p_a, p_b = m.rho_a + np.reshape(r_a, (-1, 1)) * u, m.rho_b - np.reshape(r_b, (-1, 1)) * u
     return np.concatenate([t, -cross(p_a[:, None], t), cross(p_b[:, None], t)], axis=2)
 
 
@@ -167,12 +174,13 @@ def distance_hessian(m: Minima, n_a: Array, n_b: Array, fixed: Flags | None = No
     D_qp = np.matmul(W.transpose(0, 2, 1), w_phi) / dist[:, None, None]
     D_qp[:, 3:6, 0] -= cross(ta, u)
     D_qp[:, 6:9, 1] += cross(tb, u)
-    aa = 1.0 / dist + dot(u, ra)
-    bb = 1.0 / dist - dot(u, rb)
+    a2, b2 = (np.maximum(dot(rho, rho), 1e-12) for rho in (ra, rb))  # walls have no radii
+    aa = a2 / dist + dot(u, ra)
+    bb = b2 / dist - dot(u, rb)
     ab = -dot(ta, tb) / dist
-    det = np.maximum(aa * bb - ab**2, 1e-10 * (1.0 / dist) ** 2)
+    det = np.maximum(aa * bb - ab**2, 1e-10 * a2 * b2 / dist**2)
     inverse = np.stack([np.stack([bb, -ab], 1), np.stack([-ab, aa], 1)], 1) / det[:, None, None]
     if fixed is not None:
         inverse[fixed] = 0.0
-        inverse[fixed, 1, 1] = 1.0 / np.maximum(bb[fixed], 1e-10 / dist[fixed])
+        inverse[fixed, 1, 1] = 1.0 / np.maximum(bb[fixed], 1e-10 * b2[fixed] / dist[fixed])
     return np.asarray(D_qq - np.matmul(np.matmul(D_qp, inverse), D_qp.transpose(0, 2, 1)))

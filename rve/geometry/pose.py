@@ -8,11 +8,12 @@ spin of a torus about its axis is none. Centres have three components where the 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import qr
 
 from rve.common import Array, Index, Rows
 from rve.geometry.kinematics import green_lagrange
-from rve.geometry.ring_pair import tangent_frame, turned
-from rve.geometry.weave import Weave
+from rve.geometry.pattern import Pattern
+from rve.geometry.ring_pair import dot, tangent_frame, turned
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Pose(Rows):
         return np.stack([self.lattice[:, 2] * self.lattice[:, 1], self.lattice[:, 1]], axis=1)
 
 
-def start_pose(weave: Weave, count: int) -> Pose:
+def start_pose(weave: Pattern, count: int) -> Pose:
     """The slack pose of largest clearance, `count` times."""
     parts = weave.start_lattice, weave.start_centres, weave.start_normals
     return Pose(*(np.repeat(part[None], count, axis=0) for part in parts))
@@ -49,19 +50,20 @@ def moved(pose: Pose, v: Array) -> Pose:
     return Pose(pose.lattice + v[:, :3], centres, turned(pose.normals, v[:, tilts:].reshape(n, k, 2)))
 
 
-def mirrored(pose: Pose) -> Pose:
-    """The poses of a mirrored weave of two classes seen in a mirror, x -> -x, with the same rings linked.
+def mirrored(pose: Pose, weave: Pattern) -> Pose:
+    """The poses of a mirrored weave seen in its mirror, with the same rings linked; see `Pattern.images`."""
+    k, i, j = weave.images.T
+    sign = np.sign(dot(weave.start_normals * weave.mirror, weave.start_normals[k]))
+    seen = Pose(pose.lattice * [1.0, 1.0, -1.0], pose.centres.copy(), pose.normals.copy())
+    seen.normals[:, k] = pose.normals * weave.mirror * sign[:, None]
+    shift = i[:, None] * seen.a1[:, None] + j[:, None] * seen.a2[:, None]
+    seen.centres[:, k] = pose.centres * weave.mirror[: pose.centres.shape[2]]
+    seen.centres[:, k, :2] -= shift
+    seen.centres[...] -= seen.centres[:, :1].copy()
+    return seen
 
-    Ring (1, 0, 0) comes to lie at the place of ring (1, -1, 0), and its name with it.
-    """
-    image = np.array([-1.0, 1.0, 1.0])
-    dims = pose.centres.shape[2]
-    turned = Pose(pose.lattice * [1.0, 1.0, -1.0], pose.centres * image[:dims], pose.normals * image)
-    turned.centres[:, 1:, :2] += turned.a1[:, None]
-    return turned
 
-
-def tiled(pose: Pose, weave: Weave) -> Pose:
+def tiled(pose: Pose, weave: Pattern) -> Pose:
     """The poses of a cell, of one row of it, or of its primitive cell as poses of `weave`, which has all its cells."""
     times = weave.classes // pose.centres.shape[1]
     ny = min(times, weave.repeat[1])
@@ -84,6 +86,28 @@ def strain_of(pose: Pose, sides: tuple[float, float]) -> Array:
     return green_lagrange(deformation(pose, sides))
 
 
+def mirror_modes(weave: Pattern) -> Array:
+    """Motions (m, k) that keep the mirror image of the cell, `Pattern.images`: of 4-in-1 both sides, rows along y with
+    rings in their share of the cell along x, tilts about x.
+    """
+    k, m, (x2, y3, _) = weave.classes, weave.coordinates, weave.start_lattice
+    image, sign = np.zeros((m, m)), float(weave.mirror.prod())
+    image[[0, 1, 2], [0, 1, 2]] = 1.0, 1.0, -1.0
+    place, a1, a2 = np.zeros((k, 2, m)), np.zeros((2, m)), np.zeros((2, m))
+    a1[[0, 1], [0, 2]], a2[[1, 0], [1, 2]] = (1.0, -x2), (1.0, -y3)  # at the start, which is upright
+    frames = np.stack(tangent_frame(weave.start_normals), axis=2)
+    for ring, (other, i, j) in enumerate(weave.images):
+        place[other] = -i * a1 - j * a2
+        if ring:
+            place[other][[0, 1], [1 + 2 * ring, 2 + 2 * ring]] += weave.mirror[:2]
+        turn = slice(1 + 2 * k + 2 * ring, 3 + 2 * k + 2 * ring), slice(1 + 2 * k + 2 * other, 3 + 2 * k + 2 * other)
+        image[turn[1], turn[0]] = sign * (frames[other].T * weave.mirror) @ frames[ring]
+    image[3 : 2 * k + 1] = (place - place[0])[1:].reshape(-1, m)
+    kept = 0.5 * (np.eye(m) + image)
+    _, sizes, pivot = qr(kept, pivoting=True)
+    return np.asarray(kept[:, np.sort(pivot[: np.count_nonzero(np.abs(np.diag(sizes)) > 1e-9)])])
+
+
 def reduction(pose: Pose) -> Array:
     """Matrix T (n, m_full, m) from reduced to generalised velocities."""
     n, k = pose.normals.shape[:2]
@@ -101,7 +125,7 @@ def reduction(pose: Pose) -> Array:
     return T
 
 
-def place_maps(weave: Weave, rings: Index) -> Array:
+def place_maps(weave: Pattern, rings: Index) -> Array:
     """Matrices (n, 2 or 3, m_full) from generalised velocities to those of the centres of rings (n, 3): class, i, j."""
     k, dims = weave.start_centres.shape
     maps = np.zeros((len(rings), dims, 4 + dims * (k - 1) + 3 * k))
@@ -112,14 +136,14 @@ def place_maps(weave: Weave, rings: Index) -> Array:
     return maps
 
 
-def turns_of(weave: Weave, ring: int) -> slice:
+def turns_of(weave: Pattern, ring: int) -> slice:
     """Where the rotation of a ring is among the generalised velocities."""
     k, dims = weave.start_centres.shape
     first = 4 + dims * (k - 1) + 3 * ring
     return slice(first, first + 3)
 
 
-def pair_maps(weave: Weave) -> Array:
+def pair_maps(weave: Pattern) -> Array:
     """Matrices L (p, 9, m_full) from generalised velocities to (d, theta_a, theta_b) of each pair of rings."""
     first, there = weave.pairs[:, :1], place_maps(weave, weave.pairs[:, 1:])
     L = np.zeros((len(first), 9, there.shape[2]))
@@ -129,7 +153,7 @@ def pair_maps(weave: Weave) -> Array:
     return L
 
 
-def pair_geometry(pose: Pose, weave: Weave) -> tuple[Array, Array, Array]:
+def pair_geometry(pose: Pose, weave: Pattern) -> tuple[Array, Array, Array]:
     """Offset d and the two normals of every pair, each (n, p, 3)."""
     a, b, i, j = weave.pairs.T
     d = np.zeros((len(pose.lattice), len(weave.pairs), 3))

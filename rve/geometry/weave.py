@@ -1,146 +1,400 @@
-"""Weaves: which rings a periodic cell has, which of them link, and where a slack cell starts.
+"""Weaves: rings roughly placed become a pattern with its links, pairs, mirror and slack pose; the catalogue.
 
-Rings of one class are lattice translates: ring (k, i, j) is at c_k + i a1 + j a2, c_0 = 0. Lengths are in r1.
+The weave's axes are those of its lattice: a1 goes along x and a2 along y, both equally far from them. Rings are counted
+from 1 in messages.
 """
 
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 
-from rve.common import Array, ByValue, Flags, Index, InputError, shown
-from rve.common.typed import not_one_of
+from rve.common import AnyPath, Array, InputError, Typed, read_as, shown
+from rve.common.cell_fields import Length
+from rve.common.ring_sizes import DEFAULT_RING
+from rve.common.texts import read_toml
+from rve.common.typed import not_one_of, read_typed
+from rve.geometry.pattern import Pattern
+from rve.geometry.pose import Pose, mirror_modes, mirrored, start_pose
+from rve.geometry.ring_pair import are_linked, local_minima
+from rve.geometry.slack import Link, flags_of, loosen, matched, near_pairs, once, thickest
+
+MOST_RINGS = 40
+"""Rings of a cell: the equations of more, five unknowns each, take hours a table."""
+WITHIN = 2.6
+"""Pairs of rings that are nearer in the slack pose, in the sum of their radii, are looked at for contact."""
+SAME = 1e-6
+"""Relative difference of the thickest wire by which a smaller or symmetric cell may fall short of the one drawn."""
+SYMMETRIES = ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (-1.0, 1.0, -1.0), (1.0, -1.0, -1.0))
+"""Mirrors and half turns that exchange shears of both signs."""
+Coordinate = Annotated[float, Meta(ge=-1e4, le=1e4, title="mm")]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Weave(ByValue):
-    """A periodic pattern of interlinked rings.
+@dataclass(frozen=True)
+class PlacedRing(Typed):
+    """A ring of a cell: centre in mm, normal of any length, radii of the centre circle and of the wire in mm."""
 
-    pairs (m, 4): class of ring a, class of ring b, lattice shift (i, j) of ring b; every contact that can occur, each
-    once. linked (m,): which of them interlink. rings (n, 3): class and shift of the rings whose mass weighs the
-    residual (the ten rings of the paper for 4-in-1). The slack start pose, in units of r1: start_lattice (3,) = x2, y3,
-    tan gamma; start_centres (K, 2), or (K, 3) where centres may leave the plane; start_normals (K, 3). is_mirrored:
-    start pose and pairs are their own mirror image in x, so that (alpha, beta) and (-alpha, beta) are one load and the
-    reference cell is a rectangle. jamming_ratio: r1/r2 below which no slack pose exists. planar_ratio: r1/r2 up to
-    which no larger cell was found to do more work than the planar primitive cell. repeat: primitive cells along a1, a2.
+    centre: tuple[Coordinate, Coordinate, Coordinate]
+    normal: tuple[Coordinate, Coordinate, Coordinate]
+    r1: Length
+    r2: Length
+
+    def check(self) -> None:
+        if not np.linalg.norm(self.normal) > 1e-6:
+            self.refuse(f"normal = {list(self.normal)}: is no direction")
+        if not self.r2 < self.r1:
+            self.refuse(f"r2 = {self.r2:g}: must be less than r1 = {self.r1:g}")
+
+
+@dataclass(frozen=True)
+class Drawing(Typed):
+    """A weave as text has it: lattice vectors a1, a2 in mm and the rings of one cell. planar_ratio: see `Pattern`."""
+
+    name: Annotated[str, Meta(min_length=1, max_length=60)]
+    lattice: tuple[tuple[Coordinate, Coordinate], tuple[Coordinate, Coordinate]]
+    ring: tuple[PlacedRing, ...]
+    pairs: tuple[tuple[int, int, int, int], ...] = ()
+    planar_ratio: float | None = None
+
+
+class Weave(Pattern):
+    """A periodic pattern of interlinked rings, see `Pattern` for what it holds.
+
+    >>> from rve import Weave
+    >>> tilt = 0.56
+    >>> rings = [{"centre": (0, 0, 0), "normal": (0, tilt, 0.83), "r1": 5, "r2": 0.5}]
+    >>> rings += [{"centre": (6.2, 3.1, 0), "normal": (0, -tilt, 0.83), "r1": 5, "r2": 0.5}]
+    >>> mine = Weave.from_rings([(12.5, 0), (0, 6.2)], rings, name="mine")
+    >>> round(mine.jamming_ratio, 4), mine.is_mirrored, int(mine.linked.sum())
+    (3.9809, True, 4)
     """
 
-    name: str
-    pairs: Index
-    linked: Flags
-    rings: Index
-    start_lattice: Array
-    start_centres: Array
-    start_normals: Array
-    is_mirrored: bool
-    jamming_ratio: float
-    planar_ratio: float = np.inf
-    repeat: tuple[int, int] = (1, 1)
+    @classmethod
+    def from_rings(
+        cls, lattice: Sequence[Sequence[float]], rings: Sequence[Mapping[str, Any]], name: str = "own"
+    ) -> Weave:
+        """The weave of rings roughly placed, in mm: lattice vectors a1 and a2, and of each ring of a cell its centre
+        (x, y, z), normal, r1 and r2. Their links count; distances and angles become those of largest clearance.
 
-    def __repr__(self) -> str:
-        return f"<Weave {self.name}, repeat {self.repeat}, centres in the {self.centres}>"
+        InputError, one sentence with the numbers of the rings, for what is no sheet of interlinked rings.
+        """
+        return woven(read_typed(Drawing, {"name": name, "lattice": lattice, "ring": _placed(rings)}, "weave"))
 
-    @property
-    def classes(self) -> int:
-        """Independent rings in one lattice cell."""
-        return len(self.start_centres)
-
-    @property
-    def has_images(self) -> bool:
-        """Whether a mirror shows the poses of this weave as its poses (`rve.geometry.pose.mirrored`)."""
-        return self.is_mirrored and self.classes == 2
-
-    @property
-    def coordinates(self) -> int:
-        """Reduced coordinates of a pose: lattice, centres of all rings but the first, two tilts per ring."""
-        return 3 + self.start_centres[1:].size + 2 * self.classes
-
-    @property
-    def is_larger(self) -> bool:
-        """Whether this is more than the planar primitive cell."""
-        return self.repeat != (1, 1) or self.centres == "space"
-
-    @property
-    def centres(self) -> str:
-        """Where the centres of the rings may be, "plane" or "space"."""
-        return "space" if self.start_centres.shape[1] == 3 else "plane"
+    def drawing(self, r1: float, r2: float) -> Drawing:
+        """The slack pose as text, for radii of the first ring in mm."""
+        pose = start_pose(self, 1)
+        sizes = zip(pose.centres[0], pose.normals[0].tolist(), self.radii.tolist(), self.wires.tolist(), strict=True)
+        rings = [
+            PlacedRing((float(r1 * c[0]), float(r1 * c[1]), 0.0), (n[0], n[1], n[2]), r1 * a, r2 * w)
+            for c, n, a, w in sizes
+        ]
+        a1, a2 = ((float(r1 * a[0, 0]), float(r1 * a[0, 1])) for a in (pose.a1, pose.a2))
+        return Drawing(self.name, (a1, a2), tuple(rings))
 
 
-def _two_rows(links: set[tuple[int, int]], reach: int, same: tuple[tuple[int, int], ...]) -> tuple[Index, Flags, Index]:
-    """Pairs, links and weighing rings of rows A, B, A, B ...: ring A links the B rings at the shifts `links`."""
-    pairs = [(0, 1, i, j) for i in range(-reach, reach) for j in range(-2, 2)]
-    pairs += [(k, k, i, j) for k in range(2) for i, j in same]
-    linked = [a != b and (i, j) in links for a, b, i, j in pairs]
-    rings = [(0, i, j) for j in range(3) for i in range(2)] + [(1, i, j) for j in range(2) for i in range(2)]
-    return np.array(pairs), np.array(linked), np.array(rings)
+def _placed(rings: Any) -> tuple[PlacedRing, ...]:
+    """The rings of a cell; InputError with the number of the ring that does not fit."""
+    if not isinstance(rings, list | tuple):
+        raise InputError("ring: is no list of rings; write [[ring]] with centre, normal, r1 and r2 for each")
+    if len(rings) > MOST_RINGS:
+        raise InputError(f"{len(rings)} rings: a cell has at most {MOST_RINGS}; give the smallest cell that repeats")
+    parts = enumerate(rings, 1)
+    return tuple(r if isinstance(r, PlacedRing) else read_typed(PlacedRing, r, f"ring {k}:") for k, r in parts)
 
 
-_NEAR = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2))
-_FARTHER = (*_NEAR, (3, 0), (0, 3), (2, 1), (2, -1), (3, 1), (3, -1))
-_TILT = np.radians(34.114592859)
-_ROW, _LEAN = 1.30114408, 0.23404368
+def read_weave(path: AnyPath) -> Weave:
+    """The weave in a TOML file: name, lattice = [[x, y], [x, y]], and [[ring]] with centre = [x, y, z], normal, r1, r2;
+    lengths in mm. As `Weave.from_rings`; InputError names the file."""
+    drawing = read_drawing(path)
+    if drawing.name in WEAVES:
+        raise InputError(f"{path}: name = {drawing.name}: is a weave of the catalogue; choose another name")
+    try:
+        return woven(drawing)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
 
-# Start poses are those of largest clearance; half of it is the thickest wire, the jamming limit
-# (tests/test_rve/test_weave.py finds poses and limits again by sequential linear programming).
-FOUR_IN_ONE = Weave(
-    "4-in-1",
-    *_two_rows({(0, 0), (-1, 0), (0, -1), (-1, -1)}, 2, _NEAR),
-    np.array([2.502395550, 1.246968277, 0.0]),
-    np.array([[0.0, 0.0], [1.251197775, 0.6234841385]]),
-    np.array([[0.0, np.sin(_TILT), np.cos(_TILT)], [0.0, -np.sin(_TILT), np.cos(_TILT)]]),
-    True,
-    3.980926980,
-    12.0,
-)
 
-# Each ring links three rings of the row above and three of the row below, so the rings of a row overlap like shingles
-# and lean along x too. The mirror image leans the other way: two mirror forms of one mesh.
-SIX_IN_ONE = Weave(
-    "6-in-1",
-    *_two_rows({(i, j) for i in (-1, 0, 1) for j in (0, -1)}, 4, _FARTHER),
-    np.array([1.22213041, _ROW, _LEAN]),
-    np.array([[0.0, 0.0], [0.5 * _LEAN * _ROW, 0.5 * _ROW]]),
-    np.array([[-0.41265208, 0.58663338, 0.69683536], [0.41265208, -0.58663338, 0.69683536]]),
-    False,
-    5.943203815,
-    12.0,
-)
+def read_drawing(path: AnyPath) -> Drawing:
+    """The drawing in a TOML file, as it is there."""
+    with read_as("weave", path):
+        table = read_toml(path)
+    return drawing_of(table, f"{path}:")
 
-WEAVES = {w.name: w for w in (FOUR_IN_ONE, SIX_IN_ONE)}
+
+def drawing_of(table: Mapping[str, Any], where: str) -> Drawing:
+    """The drawing in a parsed table; InputError, which begins with `where`, for what does not fit."""
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where} is no table of name, lattice and rings")
+    try:
+        rings = _placed(table.get("ring", []))
+    except InputError as error:
+        raise InputError(f"{where} {error}") from None
+    return read_typed(Drawing, {**table, "ring": rings}, where)
+
+
+@cache
+def woven(drawing: Drawing, is_slack: bool = False) -> Weave:
+    """The weave of a drawing; is_slack: it is drawn in the slack pose that this function found before."""
+    weave = _read_off(drawing)
+    if is_slack:
+        weave = _in_pose(weave, start_pose(weave, 1), thickest(weave, start_pose(weave, 1)))
+        image = _mirrored(weave)
+        weave = weave if image is None else replace(weave, mirror=image.mirror, images=image.images)
+        listed = np.array(drawing.pairs or weave.pairs)
+        links = {once(link) for link in weave.pairs[weave.linked]}
+        planar = weave.planar_ratio if drawing.planar_ratio is None else drawing.planar_ratio
+        return _known(replace(weave, pairs=listed, linked=flags_of(listed, links), planar_ratio=planar))
+    free, first = _in_pose(weave, *loosen(weave)), drawing.ring[0]
+    if not first.r1 / first.r2 > free.jamming_ratio:
+        raise InputError(
+            f"ring 1: r2 = {first.r2:g} is too thick, the rings overlap in every pose; it is at most "
+            f"{first.r1 / free.jamming_ratio:.4g}, with the others in proportion"
+        )
+    for axis, count in product(range(2), range(weave.classes, 1, -1)):
+        # As drawn, where many poses are as good as the slack one; as loosened, where rings are placed roughly.
+        part = _divided(weave, axis, count) or _divided(free, axis, count) if weave.classes % count == 0 else None
+        loose = part and _in_pose(part, *loosen(part))
+        if part and loose and loose.jamming_ratio < (1.0 + SAME) * free.jamming_ratio:
+            weave, free = part, loose
+    for image in filter(None, (_mirrored(weave), _mirrored(free))):
+        loose = _in_pose(image, *loosen(image, mirror_modes(image)))
+        if loose.jamming_ratio < (1.0 + SAME) * free.jamming_ratio:
+            return _known(loose)
+    return _known(free)
+
+
+def _read_off(drawing: Drawing) -> Weave:
+    """The weave as it is drawn, in the axes of its lattice and with all centres in one plane, with the links that are
+    read off; InputError for what is no sheet."""
+    rings = drawing.ring
+    if len(rings) < 2:
+        raise InputError(f"{len(rings)} ring: its translates are parallel and interlink in no way; give two or more")
+    unit = rings[0].r1
+    lattice, centres, normals = (
+        np.array(x) for x in (drawing.lattice, [r.centre for r in rings], [r.normal for r in rings])
+    )
+    radii, wires = np.array([r.r1 for r in rings]) / unit, np.array([r.r2 for r in rings]) / rings[0].r2
+    area = float(np.linalg.det(lattice))
+    if not abs(area) > 0.01 * np.prod(np.linalg.norm(lattice, axis=1)):
+        raise InputError("lattice: a1 and a2 are parallel or zero; give two vectors that span a cell")
+    if abs(area) < 0.1 * np.pi * rings[int(wires.argmin())].r2 ** 2 or len(rings) * unit**2 > 1e4 * abs(area):
+        raise InputError(
+            f"lattice: a cell of {abs(area):.4g} mm2 is tiny beside rings of r1 = {unit:g} mm; lengths are in mm"
+        )
+    lattice = lattice / unit * [[np.sign(area)], [1.0]]
+    first, second = np.arctan2(lattice[:, 1], lattice[:, 0])
+    lean = 0.5 * (0.5 * np.pi - np.mod(second - first, 2.0 * np.pi))
+    c, s = np.cos(first - lean), np.sin(first - lean)
+    to_axes = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # rows are turned by it
+    lattice, normals = lattice @ to_axes[:2, :2], normals @ to_axes
+    centres = (centres - centres[0]) @ to_axes / unit
+    centres[:, :2] -= np.floor(centres[:, :2] @ np.linalg.inv(lattice) + 1e-9) @ lattice
+    size = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.where(np.abs(size - 1.0) < 1e-6, normals, normals / size)  # as they are written
+    z = centres[:, 2]
+    if np.ptp(z) > radii.max():
+        low, high = int(z.argmin()) + 1, int(z.argmax()) + 1
+        raise InputError(
+            f"the centres of rings {low} and {high} are {unit * np.ptp(z):.4g} mm apart across the plane: that is a "
+            "net in space, and a sheet has all its centres near one plane"
+        )
+    links = _links(lattice, centres, normals, radii)
+    flat = centres * [1.0, 1.0, 0.0]
+    for a, b, *_ in links ^ _links(lattice, flat, normals, radii):
+        raise InputError(
+            f"rings {a + 1} and {b + 1} interlink in another way once all centres are in one plane; place them nearer "
+            "to it"
+        )
+    _check_sheet(links, len(rings))
+    start = np.array([lattice[0, 0], lattice[1, 1], np.tan(lean)])
+    return _weave(drawing.name, start, flat[:, :2], normals, radii, wires, links)
+
+
+def _links(lattice: Array, centres: Array, normals: Array, radii: Array) -> set[Link]:
+    """The links of rings; InputError where two wires' centre lines cross, so that nothing can be said."""
+    pairs = near_pairs(lattice, centres, radii[:, None] + radii)
+    a, b = pairs[:, 0], pairs[:, 1]
+    d = centres[b] - centres[a]
+    d[:, :2] += pairs[:, 2:] @ lattice
+    circles = d, normals[a], normals[b], (radii[a], radii[b])
+    minima = local_minima(*circles, reach=1e-6)
+    for pair in minima.pair[:1]:
+        rings = (
+            f"ring {a[pair] + 1} and its translate" if a[pair] == b[pair] else f"rings {a[pair] + 1} and {b[pair] + 1}"
+        )
+        raise InputError(f"{rings}: their centre lines cross, so that it is open how they interlink; move them apart")
+    return {once(pair) for pair in pairs[are_linked(*circles)]}
+
+
+def _check_sheet(links: set[Link], count: int) -> None:
+    """InputError unless links join all rings to one sheet, in two directions."""
+    place: dict[int, Array] = {0: np.zeros(2, dtype=int)}
+    cycles: list[Array] = []
+    ways = [(a, b, np.array([i, j])) for a, b, i, j in links] + [(b, a, -np.array([i, j])) for a, b, i, j in links]
+    todo = [0]
+    while todo:
+        ring = todo.pop()
+        for a, b, shift in ways:
+            if a == ring and b not in place:
+                place[b] = place[a] + shift
+                todo.append(b)
+    loose = [str(k + 1) for k in range(count) if k not in place]
+    if loose:
+        what = f"ring {loose[0]} links" if len(loose) == 1 else f"rings {', '.join(loose)} link"
+        raise InputError(f"{what} in no way to ring 1; a sheet hangs together by links")
+    cycles = [place[a] + shift - place[b] for a, b, shift in ways]
+    areas = [abs(int(u[0] * v[1] - u[1] * v[0])) for u in cycles for v in cycles]
+    sheets = int(np.gcd.reduce(areas)) if areas else 0
+    if not sheets:
+        what = "chains, which" if any(cycle.any() for cycle in cycles) else "groups of rings, which"
+        raise InputError(f"the rings form {what} no link holds together; a sheet needs links in two directions")
+    if sheets > 1:
+        raise InputError(f"the rings are {sheets} sheets through each other that no link joins; give one of them")
+
+
+def _weave(
+    name: str, lattice: Array, centres: Array, normals: Array, radii: Array, wires: Array, links: set[Link]
+) -> Weave:
+    """The weave with these links, whose pairs are those within reach in this pose."""
+    a1, a2 = np.array([1.0, lattice[2]]) * lattice[0], np.array([lattice[2], 1.0]) * lattice[1]
+    centres = centres - centres[0]
+    near = near_pairs(np.stack([a1, a2]), np.pad(centres, ((0, 0), (0, 1))), WITHIN * (radii[:, None] + radii))
+    far = links - {once(pair) for pair in near}
+    pairs = np.concatenate([near, np.array(sorted(far), dtype=int).reshape(-1, 4)])
+    # Two cells along a1 and a2, with the next row of the first class, as in the paper.
+    rings = np.array([(k, i, j) for k in range(len(centres)) for j in range(2 if k else 3) for i in range(2)])
+    return Weave(name, pairs, flags_of(pairs, links), rings, lattice, centres, normals, radii, wires, 0.0, 0.0)
+
+
+def _in_pose(weave: Weave, pose: Pose, jamming_ratio: float) -> Weave:
+    """The weave with this start pose (n = 1); its rings are those in the cell, unless they are known as images."""
+    lattice, whole = np.stack([pose.a1[0], pose.a2[0]]), np.zeros((weave.classes, 2), dtype=int)
+    if not weave.is_mirrored:
+        whole = np.floor(pose.centres[0] @ np.linalg.inv(lattice) + 1e-6).astype(int)
+    links = {
+        once((a, b, i + whole[b, 0] - whole[a, 0], j + whole[b, 1] - whole[a, 1]))
+        for a, b, i, j in weave.pairs[weave.linked]
+    }
+    centres = pose.centres[0] - whole @ lattice
+    placed = _weave(weave.name, pose.lattice[0], centres, pose.normals[0], weave.radii, weave.wires, links)
+    return replace(placed, jamming_ratio=jamming_ratio, mirror=weave.mirror, images=weave.images)
+
+
+def _divided(weave: Weave, axis: int, count: int) -> Weave | None:
+    """The weave with a cell that is `count` times shorter along an axis; None where it does not repeat so often."""
+    pose = start_pose(weave, 1)
+    lattice = np.stack([pose.a1[0], pose.a2[0]])
+    rings = matched(weave, weave, np.ones(3), lattice[axis] / count)
+    if rings is None:
+        return None
+    names: dict[int, tuple[int, Array]] = {}
+    centres, normals, firsts = [], [], list[int]()
+    for first in range(weave.classes):
+        if first in names:
+            continue
+        ring, shift, places, turns = first, np.zeros(2, dtype=int), [], []
+        for step in range(count):
+            if ring in names:
+                return None
+            place = -shift
+            place[axis] = count * place[axis] + step
+            names[ring] = len(firsts), place
+            places.append(pose.centres[0, ring] + shift @ lattice - step / count * lattice[axis])
+            normal = pose.normals[0, ring]
+            turns.append(normal * np.sign(normal @ pose.normals[0, first]))
+            ring, *more = rings[ring]
+            shift = shift + more
+        firsts.append(first)
+        centres.append(np.mean(places, axis=0))
+        normals.append(np.mean(turns, axis=0) / np.linalg.norm(np.mean(turns, axis=0)))
+    links = set()
+    for a, b, i, j in weave.pairs[weave.linked].tolist():
+        (ring, place), (other, there) = names[a], names[b]
+        shift = np.array([i, j])
+        shift[axis] *= count
+        links.add(once((ring, other, *(there + shift - place))))
+    sides = weave.start_lattice.copy()
+    sides[axis] /= count
+    sizes = weave.radii[firsts], weave.wires[firsts]
+    return _weave(weave.name, sides, np.array(centres), np.array(normals), *sizes, links)
+
+
+def _known(weave: Weave) -> Weave:
+    """The weave; one that is in the catalogue under another name takes the pose there, so that tables agree to the last
+    digit."""
+    turns = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, 1.0]])
+    for one in WEAVES.values() if weave.name not in WEAVES else ():
+        if one.classes != weave.classes:
+            continue
+        if any(matched(one, weave, turn, place) for turn in turns for place in weave.start_centres):
+            return replace(one, name=weave.name)
+    return weave
+
+
+def _mirrored(weave: Weave) -> Weave | None:
+    """The weave in the mean of its pose and of its image by a mirror or a half turn, with its images; None if none is
+    its own."""
+    pose = start_pose(weave, 1)
+    if abs(weave.start_lattice[2]) > 0.05:
+        return None
+    for signs in SYMMETRIES:
+        for k in range(weave.classes):
+            rings = matched(weave, weave, np.array(signs), pose.centres[0, k])
+            if rings is None or rings[0][0] != k:
+                continue
+            image = replace(weave, mirror=np.array(signs), images=np.array(rings))
+            other = mirrored(pose, image)
+            normals = pose.normals[0] + other.normals[0]
+            return replace(
+                image,
+                start_lattice=weave.start_lattice * [1.0, 1.0, 0.0],
+                start_centres=0.5 * (pose.centres[0] + other.centres[0]),
+                start_normals=normals / np.linalg.norm(normals, axis=1, keepdims=True),
+            )
+    return None
+
+
+def sizes_of(name: str) -> dict[str, float]:
+    """r1 and r2 in mm of the first ring in a TOML file, by their names; by default those of `DEFAULT_RING`."""
+    ring = None if name in WEAVES else read_drawing(name).ring[0]
+    return DEFAULT_RING if ring is None else {"r1": ring.r1, "r2": ring.r2}
 
 
 def named_weave(name: str) -> Weave:
-    """The weave of this name; InputError says which there are."""
-    if name not in WEAVES:
-        raise InputError(f"weave = {shown(name)}: {not_one_of(name, WEAVES)}")
-    return WEAVES[name]
+    """The weave of this name in the catalogue, or in the TOML file of this path; InputError says which there are."""
+    if name in WEAVES:
+        return WEAVES[name]
+    if Path(name).suffix == ".toml":
+        return read_weave(name)
+    raise InputError(f"weave = {shown(name)}: {not_one_of(name, [*WEAVES, 'FILE.toml'])}")
 
 
-def supercell(weave: Weave, nx: int, ny: int, centres: str = "plane") -> Weave:
-    """The same weave with nx x ny independent primitive cells in one lattice cell, centres in the plane or in space:
-    ring (class k, cell ix, iy) gets the class k + K (ix + nx iy).
-    """
-    count = weave.classes
+class Catalogue(Mapping[str, Weave]):
+    """The weaves of the package by their names, each read when it is asked for."""
 
-    def placed(k: int, i: int, j: int) -> tuple[int, int, int]:
-        (shift_x, ix), (shift_y, iy) = divmod(i, nx), divmod(j, ny)
-        return k + count * (ix + nx * iy), shift_x, shift_y
+    def __init__(self, folder: Path) -> None:
+        self._files = {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
-    cells = [(ix, iy) for iy in range(ny) for ix in range(nx)]
-    pairs = [
-        (a + count * (ix + nx * iy), *placed(b, ix + i, iy + j))
-        for a, b, i, j in weave.pairs.tolist()
-        for ix, iy in cells
-    ]
-    x2, y3, t = weave.start_lattice
-    a1, a2 = np.array([x2, t * x2]), np.array([t * y3, y3])
-    places = np.array([centre[:2] + ix * a1 + iy * a2 for ix, iy in cells for centre in weave.start_centres])
-    return replace(
-        weave,
-        pairs=np.array(pairs),
-        linked=np.repeat(weave.linked, len(cells)),
-        rings=np.array([(k, i, j) for k in range(count * nx * ny) for i in range(2) for j in range(2)]),
-        start_lattice=np.array([nx * x2, ny * y3, t]),
-        start_centres=np.pad(places, ((0, 0), (0, 1 if centres == "space" else 0))),
-        start_normals=np.tile(weave.start_normals, (len(cells), 1)),
-        repeat=(nx * weave.repeat[0], ny * weave.repeat[1]),
-    )
+    def __getitem__(self, name: str) -> Weave:
+        return woven(_catalogued(self._files[name]), is_slack=True)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._files
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._files)
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+
+_catalogued = cache(read_drawing)
+WEAVES = Catalogue(Path(__file__).parent / "weaves")
+FOUR_IN_ONE, SIX_IN_ONE = WEAVES["4-in-1"], WEAVES["6-in-1"]

@@ -73,7 +73,7 @@ class KnownStates(Rows):
         states = KnownStates(pose, S, strain_of(pose, mesh.sides))
         if not mesh.dead.weave.has_images:
             return states
-        return states.join([KnownStates(mirrored(pose), mirror(S), mirror(states.E))])
+        return states.join([KnownStates(mirrored(pose, mesh.dead.weave), mirror(S), mirror(states.E))])
 
     def works(self, S: Array) -> Array:
         """S:E of every state under each of the loads S (n, 3), (n, m)."""
@@ -227,11 +227,11 @@ def states_beyond(pose: Pose, S: Array, mesh: LoadedCell) -> KnownStates:
     equations, s = mesh.dead, unit_loads(S)
     way = np.random.default_rng(0).uniform(-1.0, 1.0, (len(S), equations.modes.shape[1]))
     way[:, :3] = 0.0
-    rows, ways = [np.arange(len(S))], [SEARCH.disturbed * equations.wire * way]
+    rows, ways = [np.arange(len(S))], [SEARCH.disturbed * equations.thinnest * way]
     for i, stiffness, motions in loose_motions(equations, balanced(pose, s, equations), s):
         gives = motions.T[np.flatnonzero(stiffness < SEARCH.unstable)[: SEARCH.modes]]
         rows.append(np.full(len(gives), i))
-        ways.append(SEARCH.push * equations.wire * gives / np.abs(gives).max(axis=1, keepdims=True))
+        ways.append(SEARCH.push * equations.thinnest * gives / np.abs(gives).max(axis=1, keepdims=True))
     row, way = np.concatenate(rows), np.concatenate(ways)
     here = pose.take(row)
     start = equations.moved(here, way)

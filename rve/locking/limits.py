@@ -12,7 +12,7 @@ from scipy.optimize import nnls
 from rve.common import Array, Flags
 from rve.common.tensor import IDENTITY, eigenvalues
 from rve.geometry.contacts import CellContacts
-from rve.geometry.pose import Pose, moved
+from rve.geometry.pose import Pose
 from rve.locking.interior_point import DirectOptions, Equilibrium, solve_equilibrium
 from rve.locking.system import Equations, System
 
@@ -30,7 +30,7 @@ def strain_is_unique(equations: Equations, found: Equilibrium, s: Array) -> Flag
     """Whether the strain of each equilibrium is isolated, (n,): no mode without stiffness moves the lattice."""
     unique = np.ones(len(s), dtype=bool)
     for i, stiffness, motions in loose_motions(equations, found, s):
-        unique[i] = not np.any(np.abs(motions[:3, stiffness < SOFT]) > 1e-6)
+        unique[i] = not np.any(np.abs(equations.modes[:3] @ motions[:, stiffness < SOFT]) > 1e-6)
     return unique
 
 
@@ -137,7 +137,7 @@ def polish(pose: Pose, equations: Equations, s: Array, reach: float | Array = 1e
             A = np.block([[system.J[i], G.T], [G, np.zeros((size, size))]])
             b = -np.concatenate([system.r[i], contacts.gap[i].ravel()[rows]])
             dq[i] = np.linalg.lstsq(A, b, rcond=1e-9)[0][: len(dq[i])]
-        pose = moved(pose, np.clip(dq, -1e-2, 1e-2))
+        pose = equations.moved(pose, np.clip(dq, -1e-2, 1e-2))
     end = balanced(pose, s, equations, reach)
     ok = (end.R < 1e-9) & (end.contacts.min_gap > -1e-10) & end.contacts.links_intact
     return replace(end, status=np.where(ok, "converged", "stalled").astype("<U16"))

@@ -147,7 +147,7 @@ def accept_step(
             there, found = valley.correct(bad, step, there, equations)
         good = found.links_intact & (found.min_gap >= floor[bad])
         # Shorter steps cannot carry a ring through a wire.
-        long = np.flatnonzero(np.abs(step).max(axis=1) > (0.2 * equations.wire if valley is None else 0.0))
+        long = np.flatnonzero(np.abs(step).max(axis=1) > (0.2 * equations.thinnest if valley is None else 0.0))
         if len(long):
             way = parallel_clearance(here.take(long), there.take(long), equations.weave, equations.wire)
             good[long] &= way > -equations.wire

@@ -85,27 +85,14 @@ def lattice_load(pose: Pose, s: Array) -> tuple[Array, Array]:
 
 
 def mass_matrix(weave: Weave, wire: float) -> Array:
-    """Mass matrix of the generalised velocities, (m_full, m_full), for rings of unit mass and r1 = 1; how they resist a
-    spin about their axes weighs no coordinate."""
-    way = place_maps(weave, weave.rings)
-    M = np.einsum("rxi,rxj->ij", way, way)
+    """Mass matrix of the generalised velocities, (m_full, m_full), the first ring's mass and radius being 1; how rings
+    resist a spin about their axes weighs no coordinate."""
+    way, mass = place_maps(weave, weave.rings), weave.masses
+    M = np.einsum("r,rxi,rxj->ij", mass[weave.rings[:, 0]], way, way)
     for ring in weave.rings[:, 0]:
-        turns = turns_of(weave, ring)
-        M[turns, turns] += gyration_radius(1.0, wire) ** 2 * np.eye(3)
+        turns, gyration = turns_of(weave, ring), gyration_radius(weave.radii[ring], wire * weave.wires[ring])
+        M[turns, turns] += mass[ring] * gyration**2 * np.eye(3)
     return np.asarray(M)
-
-
-def mirror_modes(weave: Weave) -> Array:
-    """Motions (m, k) that keep the mirror x -> -x of the cell: sides, rows along y, tilts about x; rings keep their
-    share of the cell along x.
-    """
-    k = weave.classes
-    m = 4 * k + 1
-    stretch = np.zeros(m)
-    stretch[0] = 1.0
-    stretch[3 : 2 * k + 1 : 2] = weave.start_centres[1:, 0] / weave.start_lattice[0]
-    rows = [1, *range(4, 2 * k + 1, 2), *range(2 * k + 1, m, 2)]
-    return np.column_stack([stretch, np.eye(m)[:, rows]])
 
 
 @dataclass(frozen=True)
@@ -134,6 +121,11 @@ class Equations:
     def contacts(self, pose: Pose) -> CellContacts:
         """Every contact of these poses whose gap is below `REACH`."""
         return find_contacts(pose, self.weave, self.wire, REACH)
+
+    @property
+    def thinnest(self) -> float:
+        """Radius of the thinnest wire in r1."""
+        return self.wire * float(self.weave.wires.min())
 
     def moved(self, pose: Pose, y: Array) -> Pose:
         """The pose after a step of the mode amplitudes y (n, k)."""

@@ -30,13 +30,14 @@ THROWN, DARK = np.array([0.3, -0.4]), 0.5
 
 @dataclass(frozen=True, eq=False)
 class DrawnRings:
-    """Rings to draw: centre (n, 3) in mm, unit normal (n, 3), radii r1 and r2 in mm, and the force (n,) in N by which
-    they are coloured; None for grey rings. balls: names, centres (3,) and radii in mm of balls beside them."""
+    """Rings to draw: centre (n, 3) in mm, unit normal (n, 3), radii r1 and r2 (n,) or of all in mm, and the force (n,)
+    in N by which they are coloured; None for grey rings. balls: names, centres (3,) and radii in mm of balls shown with
+    them."""
 
     centre: Array
     normal: Array
-    r1: float
-    r2: float
+    r1: Array | float
+    r2: Array | float
     force: Array | None = None
     balls: tuple[tuple[str, Array, float], ...] = ()
 
@@ -45,7 +46,7 @@ class DrawnRings:
         e1, e2 = tangent_frame(self.normal)
         t = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)[None, :, None]
         out = np.cos(t) * e1[:, None] + np.sin(t) * e2[:, None]
-        return self.centre[:, None] + self.r1 * out, out
+        return self.centre[:, None] + np.reshape(self.r1, (-1, 1, 1)) * out, out
 
     def closed_circles(self, count: int) -> Array:
         """Points (n, count + 1, 3) of the centre circles, the last one that of the beginning."""
@@ -55,7 +56,8 @@ class DrawnRings:
         """Points (p, 3) and quadrilaterals (n, along * around, 4) of tori."""
         line, out = self.circles(along)
         v = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)[:, None]
-        points = line[:, :, None] + self.r2 * (np.cos(v) * out[:, :, None] + np.sin(v) * self.normal[:, None, None])
+        around_wire = np.cos(v) * out[:, :, None] + np.sin(v) * self.normal[:, None, None]
+        points = line[:, :, None] + np.reshape(self.r2, (-1, 1, 1, 1)) * around_wire
         here = np.arange(along)[:, None] * around + np.arange(around)
         ahead = np.roll(here, -1, axis=0)
         quads = np.stack([here, ahead, np.roll(ahead, -1, axis=1), np.roll(here, -1, axis=1)], axis=2).reshape(-1, 4)
@@ -121,7 +123,7 @@ class DrawnRings:
         box = None
         if series:
             places = np.concatenate([rings.centre for rings in series])
-            box = np.stack([places.min(axis=0) - self.r1, places.max(axis=0) + self.r1])
+            box = np.stack([places.min(axis=0) - np.max(self.r1), places.max(axis=0) + np.max(self.r1)])
         space.look(plotter, space.THREE_QUARTERS, box=box)
         return plotter
 

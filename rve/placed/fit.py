@@ -84,17 +84,18 @@ def fit_rings(index: Index, centre: Array, normal: Array, cell: Cell) -> Fit:
     index (n, 3): class and lattice point i, j of each ring; centre (n, 3) in mm; unit normal (n, 3).
     """
     gap, broken = np.full(len(index), np.inf), np.zeros(len(index), dtype=bool)
-    links, linked, reach = 0, 0, 2.0 * cell.wire + NEAR
-    for pair, first, second in neighbours(cell.weave, index):
+    links, linked, weave = 0, 0, cell.weave
+    radii, wires = zip(*weave.pair_radii, strict=True), cell.wire * weave.pair_wires
+    for (pair, first, second), both, wire in zip(neighbours(weave, index), radii, wires.tolist(), strict=True):
         for k in range(0, len(first), _CHUNK):
             a, b = first[k : k + _CHUNK], second[k : k + _CHUNK]
             d = (centre[b] - centre[a]) / cell.r1
-            near = np.flatnonzero(dot(d, d) < (2.0 + reach) ** 2)
-            minima = local_minima(d[near], normal[a[near]], normal[b[near]], reach=reach)
+            near = np.flatnonzero(dot(d, d) < (sum(both) + wire + NEAR) ** 2)
+            minima = local_minima(d[near], normal[a[near]], normal[b[near]], both, reach=wire + NEAR)
             for rings in (a, b):
-                np.minimum.at(gap, rings[near[minima.pair]], cell.r1 * minima.distance - 2.0 * cell.r2)
-            if cell.weave.linked[pair]:
-                is_linked = are_linked(d, normal[a], normal[b])
+                np.minimum.at(gap, rings[near[minima.pair]], cell.r1 * (minima.distance - wire))
+            if weave.linked[pair]:
+                is_linked = are_linked(d, normal[a], normal[b], both)
                 links, linked = links + len(is_linked), linked + int(is_linked.sum())
                 broken[a[~is_linked]] = broken[b[~is_linked]] = True
     return Fit(gap, links, linked, broken)

@@ -9,8 +9,8 @@ from rve.common import Array, ByValue, NotConverged, checked
 from rve.common.tensor import WEIGHT
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, load_angles
+from rve.geometry.pattern import supercell
 from rve.geometry.pose import pair_geometry, tiled
-from rve.geometry.weave import supercell
 from rve.locking.interior_point import DirectOptions, LockedStates
 from rve.locking.system import Equations
 from rve.solve import locked_block, locked_states
@@ -71,10 +71,11 @@ def cell_forces(s: Array, cell: Cell) -> CellForces:
     a, b, i, j = weave.pairs[minima.pair].T
     start, branch = np.pad(pose.centres[0, a], ((0, 0), (0, 1))), pair_geometry(pose, weave)[0][0, minima.pair]
     a1, a2 = pose.a1[0], pose.a2[0]
+    share = (weave.wires[a] / (weave.wires[a] + weave.wires[b]))[:, None]  # of the way between both centre circles
     return CellForces(
         np.stack([a, 0 * a, 0 * a], axis=1),
         np.stack([b, i, j], axis=1),
-        cell.r1 * (start + 0.5 * (minima.rho_a + minima.rho_b) + 0.5 * branch),
+        cell.r1 * (start + (1.0 - share) * minima.rho_a + share * (minima.rho_b + branch)),
         minima.normal,
         force[works] * size[0] * cell.r1,
         cell.r1 * branch,

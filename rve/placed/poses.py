@@ -154,7 +154,7 @@ def nearest_poses(
     out = NearestPoses(pose, rings, short, fold, cell.r1 * gap, status, len(targets)).take(back.ravel())
     rows = np.flatnonzero(flip)
     out.E[rows, 1] *= -1.0
-    return replace(out, pose=out.pose.put(rows, mirrored(out.pose.take(rows))))
+    return replace(out, pose=out.pose.put(rows, mirrored(out.pose.take(rows), cell.weave)))
 
 
 def _follow_stages(E: Array, cell: Cell, states: LockedArrangements, options: PoseOptions) -> tuple[Pose, Array, Flags]:

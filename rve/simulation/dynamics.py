@@ -113,7 +113,8 @@ class Dynamics:
         """Slip of every contact along two tangents with respect to u, (n, p SLOTS, 2, m), 0 in empty slots."""
         minima, weave, wire = contacts.minima, self.equations.weave, self.equations.wire
         case, pair = np.divmod(minima.pair, len(weave.pairs))
-        local = slip_gradient(minima, pose.normals[case, weave.pairs[pair, 0]], wire, wire)
+        a, b = weave.pairs[pair, 0], weave.pairs[pair, 1]
+        local = slip_gradient(minima, pose.normals[case, a], wire * weave.wires[a], wire * weave.wires[b])
         out = np.zeros((*contacts.present.shape, 2, T.shape[2]))
         out[contacts.present] = np.matmul(local, np.matmul(self.equations.maps[pair], T[case]))
         return out.reshape(len(T), -1, 2, T.shape[2])

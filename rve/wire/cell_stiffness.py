@@ -6,6 +6,7 @@ Lengths are in r1, forces in s r1, and Young's modulus is 1: compliances are to 
 """
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,9 +17,9 @@ from rve.common.cell_fields import Joint
 from rve.common.tensor import WEIGHT, trace
 from rve.geometry.cell import Cell, weave_axes, weave_sides
 from rve.geometry.kinematics import lattice_strain, second_pk
+from rve.geometry.pattern import supercell
 from rve.geometry.pose import deformation, tiled
 from rve.geometry.ring_pair import cross, dot, tangent_frame
-from rve.geometry.weave import supercell
 from rve.locking.dead_load import DeadLoad
 from rve.locking.interior_point import DirectOptions, Equilibrium, LockedStates
 from rve.locking.limits import SOFT, TOUCHING, shortest, touching
@@ -139,16 +140,17 @@ def contact_ends(equations: Equations, equilibrium: Equilibrium) -> Ends:
     normal = equilibrium.pose.normals[np.arange(n)[:, None], ring]
     e1, e2 = tangent_frame(normal)
     phi = np.arctan2(dot(rho, e2), dot(rho, e1))
+    rho = rho / equations.weave.radii[ring][..., None]
     direction = np.stack([dot(push, rho), dot(push, cross(normal, rho)), dot(push, normal)], axis=2)
     e1, e2 = tangent_frame(equilibrium.pose.normals)
     grain, sense = np.arctan2(e2[..., 1], e1[..., 1]), np.copysign(1.0, equilibrium.pose.normals[..., 2])
     return Ends(slot, present, ring, phi, direction, grain, sense)
 
 
-def contact_flexibility(ends: Ends, ring: Ring, joint: Array | None = None) -> Array:
-    """The flexibility C (n, c, c) between the contacts of each cell, by its curved rings, open at joint (n, k)."""
+def contact_flexibility(ends: Ends, rings: Sequence[Ring], joint: Array | None = None) -> Array:
+    """The flexibility C (n, c, c) between the contacts of each cell, by its curved rings (k), open at joint (n, k)."""
     full = np.zeros(1)
-    for k in range(ends.grain.shape[1]):
+    for k, ring in enumerate(rings):
         direction = ends.direction * (ends.ring == k)[..., None]
         full = full + flexibility(ends.phi, direction, ring.curved(), None if joint is None else joint[:, k])
     c = ends.slot.shape[1]
@@ -194,13 +196,14 @@ def ring_states(
     good = np.flatnonzero(equilibrium.status == "converged")
     nan, tensor = np.full(len(s), np.nan), np.full((len(s), 3, 3), np.nan)
     states = RingStates(np.zeros(equilibrium.lam.shape), tensor, tensor, nan, nan, nan)
-    ring = Ring(1.0, equations.wire, 1.0, poisson)
+    wires = equations.wire * space.wires
+    rings = [Ring(r1, r2, 1.0, poisson) for r1, r2 in zip(space.radii.tolist(), wires.tolist(), strict=True)]
     begun = time.monotonic()
     for start in range(0, len(good), _BLOCK):
         tell(f"wires of the rings under load {start + 1} of {len(good)}", start, len(good), begun)
         rows = good[start : start + _BLOCK]
         states = states.put(
-            rows, _Cells(equations, equilibrium.take(rows), s[rows], reference, ring).states(angles_deg)
+            rows, _Cells(equations, equilibrium.take(rows), s[rows], reference, rings).states(angles_deg)
         )
     return states
 
@@ -210,9 +213,14 @@ class _Cells:
     `start` (n, c), strain gradient B (n, 3, 3); area in r1^2."""
 
     def __init__(
-        self, equations: Equations, equilibrium: Equilibrium, s: Array, reference: tuple[float, float], ring: Ring
+        self,
+        equations: Equations,
+        equilibrium: Equilibrium,
+        s: Array,
+        reference: tuple[float, float],
+        rings: Sequence[Ring],
     ) -> None:
-        self.equilibrium, self.ring, self.area = equilibrium, ring, reference[0] * reference[1]
+        self.equilibrium, self.rings, self.area = equilibrium, rings, reference[0] * reference[1]
         self.ends = ends = contact_ends(equations, equilibrium)
         self.S = second_pk(deformation(equilibrium.pose, reference), s)
         self.dead = replace(equations, load=DeadLoad(reference))
@@ -240,7 +248,7 @@ class _Cells:
     def _states_at(self, joint: Array | None) -> RingStates:
         """The states of rings that are open at the angles `joint` (n, k), or welded."""
         ends, equilibrium, G = self.ends, self.equilibrium, self.G
-        C, n = contact_flexibility(ends, self.ring, joint), len(G)
+        C, n = contact_flexibility(ends, self.rings, joint), len(G)
         lam, stress = np.zeros(ends.slot.shape), np.zeros(n)
         for i in range(n):
             rows = np.flatnonzero(ends.present[i])
@@ -253,10 +261,10 @@ class _Cells:
         for i in range(n):
             rows = np.flatnonzero(lam[i] > 0.0)
             locking[i], elastic[i] = _compliance(G[i, rows], C[i][np.ix_(rows, rows)], -J[i], self.B[i], self.area)
-        for k in range(ends.grain.shape[1]):
+        for k, ring in enumerate(self.rings):
             phi, direction, contact = ends.on(k)
             forces = np.take_along_axis(lam, contact, axis=1)[..., None] * direction
-            stress = np.maximum(stress, peak_stress(phi, forces, self.ring, None if joint is None else joint[:, k])[0])
+            stress = np.maximum(stress, peak_stress(phi, forces, ring, None if joint is None else joint[:, k])[0])
         energy, collapse = np.einsum("nc,ncd,nd->n", lam, C, lam), self._collapse(lam, joint)
         return RingStates(full.reshape(equilibrium.lam.shape), locking, elastic, stress, collapse, energy)
 
@@ -284,10 +292,10 @@ class _Cells:
         """For each class of rings of cells `rows` (n,) the relative moments (n, k, 3, w) by contact forces (n, c, w)
         and (n, k, 3, .) by the self-stresses of the ring."""
         moments, ends = [], self.ends.take(rows)
-        for k in range(ends.grain.shape[1]):
+        for k, ring in enumerate(self.rings):
             phi, direction, contact = ends.on(k)
             loads = np.moveaxis(np.take_along_axis(lam, contact[..., None], axis=1), 2, 0)[..., None] * direction
-            base, free = relative_moments(phi, loads, self.ring, None if joint is None else joint[rows, k])
+            base, free = relative_moments(phi, loads, ring, None if joint is None else joint[rows, k])
             moments.append((np.moveaxis(base, 0, -1), free))
         return moments
 

@@ -8,7 +8,7 @@ import pytest
 from rve import Cell, DirectOptions, grid, read_table, solve_table, support, with_rings, write_table
 from rve.common import WEIGHT, double_dot, dyad, mirror
 from rve.common.tensor import trace
-from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, WEAVES, deformation_gradient, second_pk
+from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, deformation_gradient, second_pk
 from rve.locking import Equations, LoadedCell
 from rve.locking.relaxation import best_mixture, equal_shares
 from rve.solve import reference_sides
@@ -129,7 +129,12 @@ def test_the_locked_reference_is_the_longest_state():
 
 
 NEAR_GRAIN = [("6-in-1", 25.0, "x", -10.083, 87.444)]  # two states: the row was that of less work
-RANDOM = [(weave, ratio, grain) for weave in WEAVES for grain in "xy" for ratio in (6.0, 10.0, 20.0, 25.0, 40.0, 60.0)]
+RANDOM = [
+    (weave, ratio, grain)
+    for weave in ("4-in-1", "6-in-1")
+    for grain in "xy"
+    for ratio in (6.0, 10.0, 20.0, 25.0, 40.0, 60.0)
+]
 
 
 def assert_largest(cell, alpha, beta):

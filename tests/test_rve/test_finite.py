@@ -86,17 +86,19 @@ def test_the_slack_start_has_gaps_and_the_links_of_the_weave():
     assert not links_intact(con, mesh.linked[1:, 0] * len(mesh.X) + mesh.linked[1:, 1])
 
 
-def disturbed(seed, size=0.05):
+def disturbed(seed, size=0.05, weave="4-in-1"):
     """A small mesh near its slack pose in space."""
-    mesh = FiniteMesh.rectangle(Cell(), 2, 2)
+    mesh = FiniteMesh.rectangle(Cell(weave=weave), 2, 2)
     centre, normal = mesh.slack()
+    radii, wires = mesh.sizes
     rng = np.random.default_rng(seed)
     q = size * rng.uniform(-1.0, 1.0, (len(mesh.X), 5))
-    return mesh, MeshPose(centre / 5.0, normal).moved(q), rng
+    return mesh, MeshPose(centre / 5.0, normal, radii=radii, wires=wires).moved(q), rng
 
 
-def test_gradients_and_newton_matrix_are_those_of_differences():
-    mesh, pose, rng = disturbed(1)
+@pytest.mark.parametrize("weave", ["4-in-1", "japanese-4-in-1"])
+def test_gradients_and_newton_matrix_are_those_of_differences(weave):
+    mesh, pose, rng = disturbed(1, weave=weave)
     n = len(mesh.X)
     q = rng.standard_normal((n, 5))
     step = 1e-5

@@ -42,7 +42,7 @@ def paper(locked):
 def strain_energy(found, lam):
     """lam C lam (n,) of forces (n, p, SLOTS), by the rings' flexibility."""
     ends = contact_ends(EQUATIONS, found)
-    C = contact_flexibility(ends, RING)
+    C = contact_flexibility(ends, [RING] * 2)
     forces = np.take_along_axis(lam.reshape(len(lam), -1), ends.slot, axis=1)
     return np.einsum("nc,ncd,nd->n", forces, C, forces)
 

@@ -30,7 +30,7 @@ def random_loads(count, seed):
 def test_the_dead_load_is_the_gradient_of_its_work_and_its_jacobian_is_symmetric(name):
     rng = np.random.default_rng(3)
     weave, sides = WEAVES[name], (2.2, 1.7)
-    pose = moved(start_pose(weave, 1), 0.1 * rng.uniform(-1.0, 1.0, (1, 9)))
+    pose = moved(start_pose(weave, 1), 0.1 * rng.uniform(-1.0, 1.0, (1, weave.coordinates)))
     S = np.array([[0.7, 0.2, 0.4]])
 
     def at(v):
@@ -39,8 +39,8 @@ def test_the_dead_load_is_the_gradient_of_its_work_and_its_jacobian_is_symmetric
         return sides[0] * sides[1] * double_dot(S, strain_of(there, sides))[0], f[0], J[0]
 
     step = 1e-5
-    _, f, J = at(np.zeros(9))
-    ways = step * np.eye(9)
+    _, f, J = at(np.zeros(weave.coordinates))
+    ways = step * np.eye(weave.coordinates)
     slope = [(at(way)[0] - at(-way)[0]) / (2.0 * step) for way in ways]
     np.testing.assert_allclose(f, slope, atol=1e-9)
     np.testing.assert_allclose(J[:3], [(at(way)[1] - at(-way)[1]) / (2.0 * step) for way in ways[:3]], atol=1e-9)

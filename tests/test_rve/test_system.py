@@ -42,7 +42,7 @@ def test_contact_part_is_the_first_and_second_derivative_of_the_gaps(name, seed)
             total += lam[0, p, slot] * near.gap[0, p, np.argmin(np.where(near.present[0, p], distance, np.inf))]
         return total
 
-    h = 2e-4
+    h = 2e-4 * equations.weave.radii.min() ** 0.5
     for _ in range(8):
         v = rng.normal(size=system.r.shape[1])
         v /= np.linalg.norm(v)
