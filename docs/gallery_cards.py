@@ -36,6 +36,8 @@ def moving(told: dict[str, Any]) -> list[str]:
         f"lowest point at last {told['lowest_point_mm']:.0f} mm",
         f"supports together at most {most:.0f} N, at {at:.2f} s",
     ]
+    if told["holds"] is not None:
+        said.append(f"smallest factor {told['smallest_factor']:.3g}, at {told['at_s']:.2f} s")
     said += [f"{one['body']} leaves with {norm(one['velocity_mm_per_s']) / 1000:.2g} m/s" for one in told["bodies"]]
     return [*said, f"energy account within {told['account_error']:.0e}"]
 

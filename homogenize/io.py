@@ -22,6 +22,7 @@ from homogenize.laws.stored import SCHEMA, UNITS, Law
 from homogenize.laws.strength import read_strength
 from rve.common import (
     InputError,
+    JsonObject,
     Typed,
     read_as,
     read_json_object,
@@ -43,13 +44,13 @@ class LawEntries(Typed):
     """What a law file holds."""
 
     kind: str
-    parameters: dict[str, Any]
+    parameters: JsonObject
     schema: Any = SCHEMA
     units: Any = None
-    cell: dict[str, Any] | None = None
+    cell: JsonObject | None = None
     plugin: str | None = None
-    strength: dict[str, Any] | None = None
-    provenance: dict[str, Any] | None = None
+    strength: JsonObject | None = None
+    provenance: JsonObject | None = None
     stiffness_is_measured: bool | None = None
     areal_mass_kg_per_m2: ArealMass | None = None
 

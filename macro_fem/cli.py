@@ -20,7 +20,8 @@ from rve.common import (
     write_text,
 )
 from rve.common.commands.command_line import Group, answer, end_as, made, options, renamed, say, say_next
-from rve.common.commands.sweeps import SweepItem, further_options, run_sweep, sweep_options
+from rve.common.commands.sweeps import Row, SweepItem, further_options, run_sweep, sweep_options
+from rve.common.files import Record
 
 MOST_RINGS = 90_000
 """From this many on `localize` is told that they are wanted: its own limit is a little above."""
@@ -246,7 +247,7 @@ def sweep(out: Path, arguments: tuple[str, ...], laws: tuple[Path, ...], **worke
     The same command again runs only what is not finished. Exit code 1 if a scene failed: sweep.csv says why.
     """
 
-    def columns(record: dict[str, Any]) -> dict[str, Any]:
+    def columns(record: Record) -> Row:
         return {name: record.get(name, "") for name in COLUMNS}
 
     first = out / run_sweep(_runs(arguments, laws, out), out, columns, **workers)[0]["name"]
@@ -274,7 +275,7 @@ def compare_designs(
     items = _runs(arguments, laws, out)
     items = [replace(one, arguments=(*one.arguments, *["--no-picture"] * (not picture))) for one in items]
 
-    def save(rows: list[dict[str, Any]]) -> None:
+    def save(rows: list[Row]) -> None:
         say(
             *(designs.design_line(row) for row in rows if row["status"]),
             *[] if find_spec("openpyxl") else [designs.NO_SHEET],

@@ -28,7 +28,7 @@ from macro_fem.scene.checks import check_scene, check_sizes
 from macro_fem.scene.loads import meet
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import Scene
-from rve.common import Array, InputError, filled, job, part_of, versions, write_text
+from rve.common import Array, InputError, JsonObject, filled, job, part_of, versions, write_text
 
 RECORD = "deck.json"
 THICKNESS = 10.0
@@ -171,9 +171,9 @@ def run_calculix(problem: CurtainProblem, text: str, source: str, built: Path) -
     return CalculixRun(True, reached, *counts, x, problem.supports.carried(values[n:] - problem.force))
 
 
-def compared(problem: CurtainProblem, run: CalculixRun, law: MembraneLaw) -> dict[str, Any]:
+def compared(problem: CurtainProblem, run: CalculixRun, law: MembraneLaw) -> JsonObject:
     """The answer of CalculiX beside ours: heights, forces of supports and their differences."""
-    record: dict[str, Any] = {
+    record: JsonObject = {
         "status": "converged" if run.converged else "not converged",
         "time_reached": run.reached,
         "increments": run.increments,
@@ -206,7 +206,7 @@ def compared(problem: CurtainProblem, run: CalculixRun, law: MembraneLaw) -> dic
     }
 
 
-def run_deck(scene_path: Path, law_path: Path | None, out: Path, *, runs: bool = True) -> dict[str, Any]:
+def run_deck(scene_path: Path, law_path: Path | None, out: Path, *, runs: bool = True) -> JsonObject:
     """Write deck.inp, umat.f and deck.json of the scene in a file; the summary.
 
     With `runs`, and where CALCULIX names a folder of `.ci/calculix`, they are run and compared. InputError for scenes
@@ -216,7 +216,7 @@ def run_deck(scene_path: Path, law_path: Path | None, out: Path, *, runs: bool =
     problem = deck_problem(scene, law)
     title = f"{scene_path.name}, law {'of r1/r2 = 10' if law_path is None else law_path.name}"
     text, source = deck_text(problem, title), umat_source(even_law(problem.law.own, problem.law.to_curtain), title)
-    summary: dict[str, Any] = {
+    summary: JsonObject = {
         "element": "CPS3" if problem.fem.d == 2 else "M3D3",
         "cells": problem.disc.n_cells,
         "status": "written",
@@ -233,7 +233,7 @@ def run_deck(scene_path: Path, law_path: Path | None, out: Path, *, runs: bool =
     return summary
 
 
-def deck_lines(summary: dict[str, Any], out: Path) -> list[str]:
+def deck_lines(summary: JsonObject, out: Path) -> list[str]:
     """What was written, and how CalculiX and we differ, in sentences."""
     lines = [f"written to {out}: deck.inp, {summary['cells']} triangles {summary['element']}, and umat.f"]
     if summary["status"] == "written":

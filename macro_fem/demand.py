@@ -29,7 +29,7 @@ from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.scene import Scene
 from macro_fem.summary import Asked, Turn
 from rve import Cell, StrainTable, grid, read_table, reference_cell, solve_table, with_rings, write_table
-from rve.common import Array, Cache, InputError, part_of, read_entry, sidecar_path, versions
+from rve.common import Array, Cache, InputError, JsonObject, part_of, read_entry, sidecar_path, versions
 from rve.common.arguments import check_fields
 from rve.common.cell_fields import check_ring_size
 from rve.common.ring_sizes import radii_in
@@ -198,7 +198,7 @@ class Rings:
     def _table(self, loads: Array) -> StrainTable:
         """The table of these load directions with the strength of the rings, from the folder or from the rings."""
         cell, table = self.cell, None
-        question: dict[str, Any] = {"weave": cell.weave.name, "grain": cell.grain, "loads_deg": loads.tolist()}
+        question: JsonObject = {"weave": cell.weave.name, "grain": cell.grain, "loads_deg": loads.tolist()}
         question |= {"cells": list(cell.cells), "centres": cell.centres, "r1_mm": cell.r1, "r2_mm": cell.r2}
         question |= {"material": asdict(cell.material), "versions": versions()}
         question |= {} if cell.drawing is None else {"drawing": asdict(cell.drawing)}

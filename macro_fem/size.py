@@ -13,7 +13,6 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -24,7 +23,18 @@ from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.support_kinds import Hanging
 from macro_fem.trials import VARIED, Row, Sought, Trials, Who
-from rve.common import Array, InputError, checked, csv_text, digits, job, noted_if_stopped, shown, write_text
+from rve.common import (
+    Array,
+    InputError,
+    JsonObject,
+    checked,
+    csv_text,
+    digits,
+    job,
+    noted_if_stopped,
+    shown,
+    write_text,
+)
 from rve.common.commands.sweeps import side_by_side
 from rve.common.drawing.plane import BLUE, VERMILION, new_axes, save_figure
 from rve.common.typed import not_one_of
@@ -239,7 +249,7 @@ class Size:
         return [row for row in rows if self.value is not None and sign * row.value < sign * self.value]
 
     @checked
-    def save(self, folder: str | Path, *, picture: bool = True) -> dict[str, Any]:
+    def save(self, folder: str | Path, *, picture: bool = True) -> JsonObject:
         """Write size.json and size.csv into `folder`, then size.png; the record."""
         record = asdict(self)
         with job(folder, "size.json", record) as staged:

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -25,13 +25,14 @@ from macro_fem.job import combined, solve, solve_membrane
 from macro_fem.scene.checks import check_scene
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import Rectangle
+from macro_fem.scene.support_kinds import Hanging
 from macro_fem.scene.tables import Bar, Combination, Item, Wind
 from macro_fem.summary import CurtainSummary
 from rve import solve_table, with_rings
-from rve.common import NO_CACHE, Cache, InputError, NotConverged, checksum, digits, part_of, tell, versions
+from rve.common import NO_CACHE, Cache, InputError, JsonObject, NotConverged, checksum, digits, part_of, tell, versions
 
 VARIED: dict[str, tuple[str, str, Callable[[Item], bool]]] = {
-    "pitch": ("mm", "hooks or runners", lambda item: bool(getattr(item, "has_hooks", False))),
+    "pitch": ("mm", "hooks or runners", lambda item: isinstance(item, Hanging) and item.has_hooks),
     "mass": ("kg", "bar", lambda item: isinstance(item, Bar)),
     "speed": ("m/s", "wind with a speed", lambda item: isinstance(item, Wind) and item.speed is not None),
     "r2": ("mm", "wire of rings", lambda item: False),
@@ -49,6 +50,17 @@ Case = Combination | None
 """A load combination; None: loads as they are, or all at once."""
 Key = tuple[float, Case]
 Task = tuple[Scene, Who]
+
+
+class Outcome(NamedTuple):
+    """What a `Row` says of a scene."""
+
+    status: str
+    factor: float | None = None
+    safety_factor: float | None = None
+    weakest: str | None = None
+    utilisation_too_low: str | None = None
+    governing_combination: str | None = None
 
 
 @dataclass(frozen=True)
@@ -96,7 +108,7 @@ class Sought:
         return replace(scene, mesh=replace(mesh, cells=cells), items=tuple(items))
 
     @cached_property
-    def _sums(self) -> dict[str, Any]:
+    def _sums(self) -> JsonObject:
         """Checksums of what answers depend on besides the scene, and versions."""
 
         def plain(value: Any) -> Any:
@@ -106,7 +118,7 @@ class Sought:
         law = sha256(msgspec.json.encode([type(who).__name__, who], enc_hook=plain)).hexdigest()
         return {"law": law, "sheet": file and checksum(file), "versions": versions()}
 
-    def question(self, value: float, case: Case) -> dict[str, Any]:
+    def question(self, value: float, case: Case) -> JsonObject:
         """What the answer at a value depends on."""
         scene = replace(self.scene, source=Path("scene"), combination=())
         told = {"scene": repr(scene), "combination": repr(case), "all": repr(self.scene.combination) * (case is None)}
@@ -158,7 +170,7 @@ class Trials:
             try:
                 tasks[key] = self._task(*key)
             except InputError as error:
-                self.answers[key] = self._row(key, {"status": str(error)})
+                self.answers[key] = self._row(key, Outcome(str(error)))
         self._began = self._began or time.monotonic()
         for key, told in self._run(tasks):
             self.answers[key] = self._row(key, told)
@@ -168,12 +180,11 @@ class Trials:
         self.on_answer()
         return bool(new)
 
-    def _row(self, key: Key, told: dict[str, Any]) -> Row:
+    def _row(self, key: Key, told: Outcome) -> Row:
         value, case = key
-        name = None if case is None else case.name
-        known: dict[str, Any] = dict.fromkeys(("factor", "safety_factor", "weakest"))
-        known |= {"governing_combination": name} | told
-        return Row(value, cells=self.sought.at(value).mesh.cells, **known)
+        name = told.governing_combination or (None if case is None else case.name)
+        cells = self.sought.at(value).mesh.cells
+        return Row(value, **told._replace(governing_combination=name)._asdict(), cells=cells)
 
     def _may_govern(self, value: float, case: Case) -> bool:
         """Whether a combination was within `MAY_GOVERN` of the one that governs, at the nearest value that tells."""
@@ -205,7 +216,7 @@ class Trials:
                 self._laws[value] = fit(with_rings(solve_table(cell), cell)).law
         return self._laws[value]
 
-    def _run(self, tasks: dict[Key, Task]) -> Iterator[tuple[Key, dict[str, Any]]]:
+    def _run(self, tasks: dict[Key, Task]) -> Iterator[tuple[Key, Outcome]]:
         """How tasks end, as they do."""
         if self.pool is None:
             for count, (key, task) in enumerate(tasks.items()):
@@ -236,25 +247,21 @@ class Trials:
         return f"{now}, about {left + self._later} answers left; {last.value:.6g} {unit}: {told}", *counted
 
 
-def answer_of(scene: Scene, who: Who) -> dict[str, Any]:
-    """Fields of the `Row` of a scene; its own combinations, if it has any, govern."""
+def answer_of(scene: Scene, who: Who) -> Outcome:
+    """How a scene is judged; its own combinations, if it has any, govern."""
     try:
         found: Any = solve(scene, who) if isinstance(who, OnDemand) else solve_membrane(scene, who)
-        return _fields(found.summary) if found.status in ("converged", "collapsed") else {"status": str(found.message)}
+        has_one = found.status in ("converged", "collapsed")
+        return _outcome(found.summary) if has_one else Outcome(str(found.message))
     except InputError as error:
-        return {"status": str(error)}
+        return Outcome(str(error))
 
 
-def _fields(summary: CurtainSummary) -> dict[str, Any]:
+def _outcome(summary: CurtainSummary) -> Outcome:
     worst = summary.envelope or summary
     if worst.weakest_factor is None:
         unknown = f"the strength of the rings is not known: {summary.strength_note}"
-        return {"status": unknown if summary.utilisation_max is None else "there is no load"}
-    own = {"governing_combination": summary.envelope.governing} if summary.envelope else {}
-    return own | {
-        "factor": worst.weakest_factor,
-        "status": "converged",
-        "safety_factor": worst.safety_factor,
-        "weakest": worst.weakest,
-        "utilisation_too_low": worst.utilisation_too_low,
-    }
+        return Outcome(unknown if summary.utilisation_max is None else "there is no load")
+    governing = summary.envelope.governing if summary.envelope else None
+    factors = worst.weakest_factor, worst.safety_factor
+    return Outcome("converged", *factors, worst.weakest, worst.utilisation_too_low, governing)

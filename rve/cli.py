@@ -25,7 +25,7 @@ from rve.common import (
 )
 from rve.common.cell_fields import Joint, check_ring_size
 from rve.common.commands.command_line import Group, answer, check_plot, options, parse_load, say, say_next
-from rve.common.commands.sweeps import SweepItem, further_options, run_sweep, sweep_options
+from rve.common.commands.sweeps import Row, SweepItem, further_options, run_sweep, sweep_options
 from rve.common.materials import MATERIALS, material_of
 from rve.common.ring_sizes import RING_SIZES, radii_of, ring_sizes, ring_words
 from rve.common.typed import BadField
@@ -409,7 +409,7 @@ def table_items(
     return items
 
 
-def table_columns(record: Mapping[str, Any]) -> dict[str, Any]:
+def table_columns(record: Mapping[str, Any]) -> Row:
     """What sweep.csv says of a table, from its sidecar: cell, reference cell, areal mass, rows by status."""
     names = ("weave", "grain", "r1_mm", "r2_mm", "b_x_mm", "b_y_mm", "areal_mass_kg_per_m2")
     rows = record.get("rows", {})

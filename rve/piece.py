@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from rve.common import SENTENCES, Array, Index, InputError, NotConverged, check_out_file, checked, digits
+from rve.common import SENTENCES, Array, Index, InputError, JsonObject, NotConverged, check_out_file, checked, digits
 from rve.common.cell_fields import ring_volume
 from rve.common.ring_sizes import ring_sizes, ring_words
 from rve.geometry.cell import Cell
@@ -101,7 +101,7 @@ class Piece:
         write_solids(Path(path), self.rings)
 
     @property
-    def record(self) -> dict[str, Any]:
+    def record(self) -> JsonObject:
         """Its numbers, with units in their names."""
         count = len(self.rings.centre)
         numbers = {"rings": count, "links": self.links, "clearance_mm": self.clearance_mm, "size_mm": self.size_mm}
@@ -164,7 +164,7 @@ def _whole_rings(cell: Cell, weave: Weave, pose: Pose, size: tuple[float, float]
     return index, flat, normals[kind], half[kind]
 
 
-def ring_facts(cell: Cell) -> dict[str, Any]:
+def ring_facts(cell: Cell) -> JsonObject:
     """What a maker asks of a ring: sizes in mm, mass in kg and wire in mm of one, where its weave jams, clearance of
     the slack mesh, and how many cells and rings there are slack and pulled; NotConverged if a pull has no answer."""
     along, across = ((0.0, 90.0), (0.0, 0.0)) if cell.grain == "y" else ((0.0, 0.0), (0.0, 90.0))

@@ -2,12 +2,11 @@
 
 import time
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rve.common import SENTENCES, Array, InputError, NotConverged, checked, part_of, versions
+from rve.common import SENTENCES, Array, InputError, JsonObject, NotConverged, checked, part_of, versions
 from rve.common.tensor import double_dot
 from rve.directions import grid
 from rve.geometry.cell import Cell, CellInfo, weave_axes
@@ -127,7 +126,7 @@ def solve_table(
     alpha, beta = checked_angles(*(grid(5.0, cell.weave) if loads is None else loads))
     info = reference_cell(cell, options)
     states = locked_states(alpha, beta, cell, options)
-    record: dict[str, Any] = {}
+    record: JsonObject = {}
     if options.branches == "largest":
         table, record["branches"] = largest_table(alpha, beta, states, options, info.sides_mm)
     elif cell.is_larger:
@@ -140,7 +139,7 @@ def solve_table(
 
 def largest_table(
     alpha: Array, beta: Array, states: LockedStates, options: DirectOptions, sides_mm: tuple[float, float]
-) -> tuple[StrainTable, dict[str, Any]]:
+) -> tuple[StrainTable, JsonObject]:
     """The table of these locked states with every row replaced under whose S another known state does more work; and
     which states coexist, for the sidecar.
     """
@@ -163,7 +162,7 @@ def largest_table(
     return table, branch_record(table, first, rows, time.perf_counter() - began) | record
 
 
-def branch_record(table: StrainTable, first: RowStates, rows: RowStates, wall: float) -> dict[str, Any]:
+def branch_record(table: StrainTable, first: RowStates, rows: RowStates, wall: float) -> JsonObject:
     """Which rows have several states, and what work each does under S, at unit trace of S."""
     branch, several = np.where(table.status == "below", "below", rows.branch), []
     for i in np.flatnonzero(branch != "slack").tolist():
@@ -189,7 +188,7 @@ def table_rows(alpha: Array, beta: Array, states: LockedStates, sides: tuple[flo
     return StrainTable(alpha, beta, E, S, x2, x3, states.unique, found.status, quality, states=states)
 
 
-def table_notes(cell: Cell, status: NDArray[np.str_], wall: float) -> dict[str, Any]:
+def table_notes(cell: Cell, status: NDArray[np.str_], wall: float) -> JsonObject:
     """How a table by the direct solver came about, beside its cell and options: outcome, versions, wall time in s."""
     statuses, counts = np.unique(status, return_counts=True)
     return {

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from rve.common import (
     Array,
     InputError,
+    JsonObject,
     Rows,
     atomic_path,
     check_belongs,
@@ -86,9 +87,9 @@ class Origin:
     areal_mass_kg_per_m2: float | None = None
     is_mirrored: bool = True
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """What the sidecar file says, but for the checksum."""
-        record: dict[str, Any] = {"format": TABLE_FORMAT, "format_version": 1}
+        record: JsonObject = {"format": TABLE_FORMAT, "format_version": 1}
         if self.cell is not None:
             metal = self.cell.material
             record |= asdict(self.cell) | {"density_kg_per_mm3": metal and metal.density_kg_per_mm3}
@@ -184,7 +185,7 @@ class StrainTable(ByValue):
         texts = (["" if isna(value) else str(value) for value in column] for column in cells)
         places = [f"row {index}" for index in frame.index]
         table = _table_of(Columns("the data frame", dict(zip(header, texts, strict=True)), places))
-        told: dict[str, Any] = {str(key): value for key, value in frame.attrs.items()}
+        told: JsonObject = {str(key): value for key, value in frame.attrs.items()}
         return replace(table, origin=_origin_of(told, "attrs of the data frame:")) if told else table
 
     @classmethod
@@ -335,7 +336,7 @@ def _origin_of(record: Mapping[str, Any], where: str) -> Origin:
     check_rings(record, where)
     cell = read_cell_info(dict(record) | reference, where) if is_told else None
     joint = Joint.of(record["joint"], f"{where} joint").name if "joint" in record else None
-    of_mesh: dict[str, Any] = {"areal_mass_kg_per_m2": None, "is_mirrored": True} | dict(record)
+    of_mesh = {"areal_mass_kg_per_m2": None, "is_mirrored": True} | dict(record)
     kinds = {"areal_mass_kg_per_m2": ArealMass | None, "is_mirrored": bool}
     mass, is_mirrored = (read_entry(of_mesh, key, kind, where) for key, kind in kinds.items())
     typed = {"format", "format_version", "files", *kinds} | ({"compliance", "joint"} if joint else set())

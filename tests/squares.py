@@ -6,7 +6,7 @@ import meshio
 import numpy as np
 
 from macro_fem import read_scene
-from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.scene import build_mesh
 
 MSH = (Path(__file__).parent / "data" / "square.msh").read_text()
 """A Gmsh 4.1 file in text, with entities, sparse order of nodes and physical groups."""

@@ -70,9 +70,13 @@ def test_links_lead_somewhere(page):
 
 def test_contributing_names_places_that_are_there():
     text = (DOCS.parent / "CONTRIBUTING.md").read_text("utf-8")
-    table = text.split("| --- | --- |\n")[1].split("\n\n")[0]
-    for place in re.findall(r"`(\w+/[\w/]*(?:\.py)?)`", table):
+    for place in re.findall(r"`(\w+/[\w/]*(?:\.py)?)`", text):
         assert (DOCS.parent / place).exists(), place
+    records = re.findall(r"^\| (`[A-Z].*) \| .* \| `(.*)` \|$", text, re.MULTILINE)
+    assert records
+    for names, place in records:
+        for name in re.findall(r"`(\w+)`", names):
+            assert re.search(rf"^class {name}\b", (DOCS.parent / place).read_text("utf-8"), re.MULTILINE), name
     sketch = re.search(r"```text\n(.*?)```", text, re.DOTALL)[1]
     for package, folders in re.findall(r"^(\w+) .*  {3,}(\w+(?:  \w+)*)$", sketch, re.MULTILINE):
         told = set(folders.split())

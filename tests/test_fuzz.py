@@ -18,7 +18,7 @@ import pytest
 from homogenize import ClothLaw, default_law, load_law, ring_net
 from homogenize.io import DEFAULT_LAW
 from macro_fem import load_scene, read_curtain
-from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.scene import build_mesh
 from rve import Cell, InputError, read_table, solve_table, write_table
 from rve.common import checksum, numbers_of
 from rve.directions import parse_angles, read_loads

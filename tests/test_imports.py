@@ -18,6 +18,8 @@ ROOT = Path(__file__).resolve().parents[1]
 BELOW: dict[str, tuple[str, ...]] = {"rve": (), "homogenize": ("rve",), "macro_fem": ("rve", "homogenize")}
 ROOT_NAMES = {"rve": 27, "homogenize": 16}
 """As many names as a root may have; more are for the face of a sub-package."""
+DEEP = 100
+"""Names that tests take from below faces are fewer."""
 HEAVY = ("matplotlib", "pyvista", "vtk", "plotly", "clarabel", "meshio", "skfem", "pandas", "sksparse")
 
 
@@ -109,6 +111,14 @@ def test_files_import_downwards(package):
         list(TopologicalSorter(files(package)).static_order())
     except CycleError as error:
         pytest.fail(f"files import each other: {' -> '.join(error.args[1])}")
+
+
+def test_tests_import_faces():
+    sources = [file.read_text() for file in sorted((ROOT / "tests").rglob("*.py"))]
+    below = [n for text in sources for n in imported_names(text) if n.split(".")[0] in BELOW and source_of(n)]
+    deep = [n for n in below if n.count(".") > 2 and n.rpartition(".")[2] not in face(n.rpartition(".")[0])]
+    assert len(below) > 500
+    assert len(deep) < DEEP
 
 
 def test_a_circle_of_files_through_a_face_is_seen():

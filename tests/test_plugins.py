@@ -13,7 +13,7 @@ import homogenize
 import macro_fem
 import rve
 from homogenize.laws import highest, outer_vertices
-from rve.common.plugins import load_installed, load_plugin
+from rve.common import load_installed, load_plugin
 from tests.commands import run
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"

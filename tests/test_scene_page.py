@@ -11,12 +11,8 @@ import pytest
 import macro_fem
 import macro_fem.scene.scene  # whose import makes all kinds known
 from macro_fem import Ball
-from macro_fem.scene.obstacles import Obstacle
-from macro_fem.scene.shapes import Shape
-from macro_fem.scene.support_kinds import Support
-from macro_fem.scene.tables import Load
-from rve.common import types_of
-from rve.common.typed import typed
+from macro_fem.scene import Load, Obstacle, Shape, Support
+from rve.common import typed, types_of
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "scenes.md"
 NOUNS = [cls for base in (Shape, Support, Load, Obstacle, Ball) for cls in base.kinds.values()]

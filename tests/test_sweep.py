@@ -19,7 +19,7 @@ from click.testing import CliRunner
 
 from homogenize.io import DEFAULT_LAW
 from macro_fem.cli import main as macro_fem
-from macro_fem.scene.meshing.outline_files import write_outline
+from macro_fem.scene import write_outline
 from rve.cli import main as rve
 from rve.cli import table_items
 from rve.common import Progress, heard_by

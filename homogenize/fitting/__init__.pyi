@@ -7,8 +7,12 @@ from .interval import interval_of_table as interval_of_table
 from .interval import interval_or_law as interval_or_law
 from .interval import law_interval as law_interval
 from .interval import read_law_interval as read_law_interval
+from .refine import FINEST as FINEST
+from .refine import Nodes as Nodes
+from .refine import on_arcs as on_arcs
 from .refine import refined_half_spaces as refined_half_spaces
 from .report import error_report as error_report
+from .report import held_out_misfit as held_out_misfit
 from .report import random_loads as random_loads
 from .row_tests import Normality as Normality
 from .row_tests import mended as mended
@@ -20,4 +24,5 @@ from .table import cell_of as cell_of
 from .table import fit as fit
 from .table import fit_rows as fit_rows
 from .table import fit_table as fit_table
+from .table import stiffness_by_direction as stiffness_by_direction
 from .table import stiffness_of as stiffness_of

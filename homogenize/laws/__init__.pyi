@@ -11,6 +11,8 @@ from .net import NetLaw as NetLaw
 from .net import diagonal_net as diagonal_net
 from .net import ring_cell as ring_cell
 from .net import ring_net as ring_net
+from .pictures import locking_surface as locking_surface
+from .pictures import strength_loads as strength_loads
 from .plastic import LimitSurface as LimitSurface
 from .plastic import PlasticLaw as PlasticLaw
 from .plastic import limit_surface as limit_surface

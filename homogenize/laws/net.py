@@ -17,7 +17,7 @@ from msgspec import Meta
 
 from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, Response, check_finite
 from homogenize.laws.stored import Law
-from rve.common import Array, Typed, checked, read_typed
+from rve.common import Array, JsonObject, Typed, checked, read_typed
 from rve.common.cell_fields import STEEL_KG_PER_MM3, areal_mass
 from rve.common.tensor import IDENTITY, WEIGHT, disc, double_dot, dyad, from_disc, trace
 from rve.geometry import CellInfo
@@ -119,7 +119,7 @@ class NetLaw(Law, kind="net"):
 
     def elastic(self) -> MembraneLaw:
         """The net whose two fibres alone limit the strain, which `response` is the energy of."""
-        return ElasticNet(**{field.name: getattr(self, field.name) for field in fields(self)})
+        return ElasticNet(**{field.name: vars(self)[field.name] for field in fields(self)})
 
     def _lift(self) -> Array:
         """Strain (2, 3) per unit of excess of each fibre, in the metric in which the two fibres do not interact."""
@@ -127,7 +127,7 @@ class NetLaw(Law, kind="net"):
         gram = (N * WEIGHT) @ N.T
         return np.linalg.solve(gram, N)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         return {"directions": self.directions.tolist(), "limit": self.limit, "stiffness_N_per_mm": self.stiffness}
 
     @classmethod

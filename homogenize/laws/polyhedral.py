@@ -20,7 +20,7 @@ from homogenize.laws.giving import split_compliance, work_along
 from homogenize.laws.net import LEAST_STIFFNESS, MOST_STIFFNESS, STATED_STIFFNESS
 from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, Response, check_finite
 from homogenize.laws.stored import Law
-from rve.common import Array, InputError, Typed, read_typed
+from rve.common import Array, InputError, JsonObject, Typed, read_typed
 from rve.common.tensor import WEIGHT, disc
 from rve.geometry import CellInfo
 
@@ -86,7 +86,7 @@ class PolyhedralLaw(Law, kind="polyhedral"):
     def _body(self) -> Polyhedron:
         return polyhedron_of(self.S, self.h, self.stiffness)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         return {"S": self.S.tolist(), "h": self.h.tolist(), "stiffness_N_per_mm": self.stiffness.tolist()}
 
     @classmethod
@@ -155,7 +155,7 @@ def giving_law(law: PolyhedralLaw) -> GivingLaw | None:
     split = None if law.strength is None else split_compliance(law.S, law.strength)
     if split is None:
         return None
-    same = {field.name: getattr(law, field.name) for field in fields(law)}
+    same = {field.name: vars(law)[field.name] for field in fields(law)}
     return GivingLaw(**(same | {"stiffness": split[0], "extra": split[1]}))
 
 

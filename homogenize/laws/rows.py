@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
-from rve.common import Array, Flags, Index, Rows, Typed, read_typed
+from rve.common import Array, Flags, Index, JsonObject, Rows, Typed, read_typed
 from rve.common.tensor import IDENTITY, double_dot, eigenvalues, mirror, trace
 
 ROUNDING = 1e-9
@@ -39,7 +39,7 @@ class LockedRows(Rows):
     def __len__(self) -> int:
         return len(self.h)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """Loads, strains and flags as plain lists for a file, and whether the weave is its own mirror image."""
         lists = {"S": self.S.tolist(), "E": self.E.tolist(), "unique": self.unique.tolist()}
         return lists | {"is_mirrored": self.is_mirrored}

@@ -15,7 +15,17 @@ from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, Response, che
 from homogenize.laws.report import ErrorReport
 from homogenize.laws.rows import LockedRows
 from homogenize.laws.strength import Strength
-from rve.common import Array, InputError, checked, json_text, read_entry, refuse_unknown, types_of, write_text
+from rve.common import (
+    Array,
+    InputError,
+    JsonObject,
+    checked,
+    json_text,
+    read_entry,
+    refuse_unknown,
+    types_of,
+    write_text,
+)
 from rve.common.optional import Axes
 from rve.common.plugins import plugin_of, register
 from rve.common.tensor import WEIGHT
@@ -43,7 +53,7 @@ class Law(MembraneLaw):
     kinds: ClassVar[dict[str, type[Law]]] = {}
     kind: ClassVar[str] = ""
     cell: CellInfo | None = None
-    provenance: dict[str, Any] = field(default_factory=dict)
+    provenance: JsonObject = field(default_factory=dict)
     strength: Strength | None = None
     rows: LockedRows | None = None
     report: ErrorReport | None = None
@@ -92,7 +102,7 @@ class Law(MembraneLaw):
         first = self.half_spaces()
         return polyhedron_of(first.S, first.h, np.asarray(np.linalg.inv(self.compliance)))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """The parameters of the law as plain numbers, lists and strings: what its file holds."""
         values = (vars(self)[name] for name in parameters_of(type(self)))
         plain = (value.tolist() if isinstance(value, np.ndarray | np.generic) else value for value in values)
@@ -147,17 +157,17 @@ class Law(MembraneLaw):
     __repr__ = __str__
 
 
-def known(record: dict[str, Any], key: str) -> dict[str, Any]:
+def known(record: JsonObject, key: str) -> JsonObject:
     """The record without this key where it has no value."""
     return record if record[key] is not None else {name: value for name, value in record.items() if name != key}
 
 
-def parameters_of(cls: type[Law]) -> dict[str, Any]:
+def parameters_of(cls: type[Law]) -> Mapping[str, Any]:
     """The fields of a law besides those that all laws have, with their types."""
     return {name: kind for name, kind in types_of(cls).items() if name not in types_of(Law)}
 
 
-def law_record(law: Law) -> dict[str, Any]:
+def law_record(law: Law) -> JsonObject:
     """What the file of a law holds."""
     plugin = plugin_of(type(law))
     rows = {} if law.rows is None else {"table_rows": law.rows.to_dict()}

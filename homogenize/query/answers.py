@@ -2,7 +2,6 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,14 +12,14 @@ from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.rows import LockedRows, with_mirror
 from homogenize.laws.strength import MAKE_AGAIN
 from homogenize.query.strain import locked_strain
-from rve.common import Array, InputError
+from rve.common import Array, InputError, JsonObject
 from rve.common.tensor import double_dot, eigenvalues, trace
 from rve.geometry import cauchy_of
 
 ROUNDING = 1e-12
 
 
-def strain_answer(path: str | Path, alpha_deg: float, beta_deg: float) -> dict[str, Any]:
+def strain_answer(path: str | Path, alpha_deg: float, beta_deg: float) -> JsonObject:
     """E of the law under the Cauchy load direction, its bounds, S of unit trace, h, and two warnings.
 
     E11_min ... E22_max bound the strain at which the rings lock, as the rows of the table prove; None if the law file
@@ -57,13 +56,13 @@ def components(key: str, values: Array) -> dict[str, float]:
     return {key.format(name): float(x) for name, x in zip(("11", "12", "22"), values, strict=True)}
 
 
-def support_answer(path: str | Path, S: Array) -> dict[str, Any]:
+def support_answer(path: str | Path, S: Array) -> JsonObject:
     """h of the law at the load S (3,); InputError if S is not tensile."""
     law, size = load_law(path), check_tensile(S)
     return {"h": float(law.support(S[None])[0]), "extrapolated": extrapolates(law.rows, S / size)}
 
 
-def strength_answer(path: str | Path, S: Array, yield_N_per_mm2: float | None = None) -> dict[str, Any]:
+def strength_answer(path: str | Path, S: Array, yield_N_per_mm2: float | None = None) -> JsonObject:
     """The line loads S (3,) of unit trace times which the rings of a law first yield and collapse, and leave the convex
     set inside of the collapse loads and their hull, with the largest ratio of both over all directions.
 

@@ -30,7 +30,7 @@ from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.loads import nodal_forces
 from macro_fem.scene.meshing.mesh import CurtainMesh, facet_nodes
 from macro_fem.scene.supports import Sliding, Supports, pin_sliding, sliding_nodes, straight_bars
-from macro_fem.scene.tables import PointLoad
+from macro_fem.scene.tables import PointLoad, Wind
 from macro_fem.solvers.walls import Walls
 from rve.common import Array
 
@@ -136,7 +136,9 @@ def dead_and_live(problem: CurtainProblem, disc: Discretization) -> tuple[Array,
     """Nodal forces (n_nodes, d), and the most that point loads spread over edges (n_facets,) may change the potential
     there, N mm."""
     scene, mesh, factor = problem.scene, problem.mesh, problem.factor
-    others = tuple(one for one in scene.items if not (isinstance(one, PointLoad) or getattr(one, "is_shaped", False)))
+    others = tuple(
+        one for one in scene.items if not (isinstance(one, PointLoad) or (isinstance(one, Wind) and one.is_shaped))
+    )
     force = nodal_forces(replace(scene, items=others), mesh, disc, problem.law.cell, factor)
     if problem.wind is not None:
         force += load_vector(disc, np.tile(problem.disc.cell_mean(problem.wind), (3, 1)))

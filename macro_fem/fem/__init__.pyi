@@ -6,7 +6,9 @@ from .assembly import stiffness as stiffness
 from .cells import counterclockwise as counterclockwise
 from .cells import recovered as recovered
 from .cells import signed_areas as signed_areas
+from .discretization import ELEMENTS as ELEMENTS
 from .discretization import Discretization as Discretization
 from .discretization import discretize as discretize
 from .hung_law import HungLaw as HungLaw
 from .supported import SupportedFem as SupportedFem
+from .supported import with_loose_nodes as with_loose_nodes

@@ -46,16 +46,16 @@ def point_forces(solution: CurtainState) -> Iterator[PointForce]:
         item, number = scene.support[held.number], held.number + 1
         of = f" of support {number}" if len(scene.support) > 1 else ""
         for count, node in enumerate(held.nodes if not len(held.facets) else (), 1):
-            name, rings = f"support {number} ({held.name})", getattr(item, "rings_per_hook", 1)
+            name, rings = f"support {number} ({held.name})", item.rings_per_hook
             yield PointForce(name, nodes[node], float(size[node]), 0.0, rings, f"{item.one} {count}{of}")
     spots: dict[tuple[int, float], dict[str, PointLoad | PatchLoad]] = {}
     for name, load in spot_loads(scene):
         node = int(point_node(load.at, problem.disc)[0])
-        spots.setdefault((node, getattr(load, "radius", 0.0)), {})[name] = load
+        spots.setdefault((node, load.radius if isinstance(load, PatchLoad) else 0.0), {})[name] = load
     for (_, radius), own in spots.items():
         loads, name = [*own.values()], " and ".join(own)
         force = factor * float(np.linalg.norm(np.sum([in_3d(load.force) for load in loads], axis=0)))
-        rings = min(getattr(load, "rings_per_hook", 0) for load in loads)
+        rings = min(load.rings_per_hook if isinstance(load, PointLoad) else 0 for load in loads)
         yield PointForce(name, np.array(loads[0].at), force, 2.0 * radius, rings, name)
 
 
@@ -94,7 +94,7 @@ def support_forces(solution: CurtainState) -> tuple[SupportForce, ...]:
             support=held.name,
             force_N=part.sum(axis=0).tolist(),
             largest_nodal_force_N=largest,
-            largest_force_per_ring_N=None if len(held.facets) else largest / getattr(item, "rings_per_hook", 1),
+            largest_force_per_ring_N=None if len(held.facets) else largest / item.rings_per_hook,
             capacity_N=item.capacity if isinstance(item, Hooks | Track) else None,
             pitch_mm=row and row.pitch,
             pitch_asked_mm=item.pitch if row and isinstance(item, Hooks | Track) else None,

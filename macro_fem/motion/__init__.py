@@ -1,1 +1,6 @@
 """A curtain in motion: implicit steps, each one convex program of the static solver with the mass term added."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""The names for other folders, listed in `__init__.pyi`: their modules are imported when they are first used."""

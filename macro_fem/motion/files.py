@@ -240,7 +240,7 @@ def _checksum(scene: Scene, law: MembraneLaw, space: bool | None) -> str:
     """A checksum of the scene without its duration and place, and of the law, or its rings in space or not."""
     assert scene.motion is not None
     told = replace(scene, motion=replace(scene.motion, duration=1e6), source=Path())
-    times = [(getattr(item, "history", ()), getattr(item, "release", None)) for item in scene.items]  # not in a repr
+    times = [(item.history, item.release) for item in scene.items]  # not in a repr
     mesh = scene.sheet_file.read_bytes() if scene.sheet_file else b""
     probe = law.support(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.3, 2.0]]))
     rings = FORMAT, law.cell, probe.tolist(), law.elastic().compliance.tolist(), strength_of_law(law)

@@ -11,7 +11,9 @@ import numpy as np
 
 from macro_fem.output.pictures import Drawings, draw_all
 from rve.common import digits, job, versions
+from rve.common.commands.sweeps import Row
 from rve.common.drawing.plane import GREEN, VERMILION, Scale, new_figure, save_figure
+from rve.common.files import Record
 from rve.common.optional import Figure
 
 RECORD = "designs.json"
@@ -30,13 +32,12 @@ COLUMNS = (
     "governing_combination", "governing_link", "governing_place", "governing_note", "cells", "wall_s",
 )  # fmt: skip
 """What the table takes from summary.json."""
-Row = dict[str, Any]
 
 
-def design_columns(record: dict[str, Any]) -> Row:
+def design_columns(record: Record) -> Row:
     """The numbers of a design, from its summary.json, of one in motion too."""
     moving = {"governing_factor": record.get("smallest_factor", ""), "governing_link": record.get("weakest", "")}
-    return {name: (moving | record | record.get("order", {})).get(name, "") for name in COLUMNS}
+    return {name: (moving | dict(record) | record.get("order", {})).get(name, "") for name in COLUMNS}
 
 
 def design_line(row: Row) -> str:

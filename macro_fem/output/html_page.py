@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from macro_fem.output.images import parts
+from rve.common import JsonObject
 from rve.common.drawing.plane import Scale
 from rve.common.drawing.space import UNLISTED
 from rve.common.errors import require
@@ -27,7 +28,7 @@ OVER_STRIP = 0.03
 """Length of the strip of the colour above the scale, over that of the scale."""
 RIGHT = 0.92
 """Share of the page's width at which the scene ends; bars of colours stand left of it."""
-LAYOUT: dict[str, Any] = {"margin": {"l": 0, "r": 0, "b": 0, "t": 70}, "font": {"family": "sans-serif"}}
+LAYOUT: JsonObject = {"margin": {"l": 0, "r": 0, "b": 0, "t": 70}, "font": {"family": "sans-serif"}}
 LEGEND = {"x": 0.01, "y": 0.98, "bgcolor": "rgba(255,255,255,0.7)"}
 LIT = {"lighting": {"ambient": 0.6, "diffuse": 0.7, "specular": 0.1, "roughness": 0.6, "fresnel": 0.05}}
 
@@ -53,7 +54,7 @@ def write_moments(path: AnyPath, moments: Iterable[tuple[str, Plotter]], title: 
 
     figure, words, bounds = go.Figure(layout=LAYOUT), list[str](), []
     owner: list[int] = []  # moment of each trace
-    scene: dict[str, Any] = {}
+    scene: JsonObject = {}
     for word, plotter in moments:
         tell(f"writing {Path(path).name}{f', {word}' if word else ''}")
         for trace in _traces(plotter):
@@ -81,7 +82,7 @@ def write_moments(path: AnyPath, moments: Iterable[tuple[str, Plotter]], title: 
     write_text(path, text.replace("<head>", f"<head><title>{name}</title><style>body{{margin:0}}</style>", 1))
 
 
-def _traces(plotter: Plotter) -> Iterator[dict[str, Any]]:
+def _traces(plotter: Plotter) -> Iterator[JsonObject]:
     """What a plotter shows, as traces of plotly."""
     for name, (mesh, actor, scale) in parts(plotter).items():
         prop, at = actor.prop, np.arange(mesh.n_points)
@@ -89,7 +90,7 @@ def _traces(plotter: Plotter) -> Iterator[dict[str, Any]]:
             k = mesh.lines[0]
             at = np.pad(mesh.lines.reshape(-1, k + 1)[:, 1:], ((0, 0), (0, 1)), mode="edge").ravel()
             line = {"color": prop.color.hex_rgb, "width": prop.line_width if scale is None else 2}
-            trace: dict[str, Any] = {"type": "scatter3d", "mode": "lines", "line": line, "connectgaps": False}
+            trace: JsonObject = {"type": "scatter3d", "mode": "lines", "line": line, "connectgaps": False}
         else:
             mesh = mesh.triangulate()
             trace = dict(zip("ijk", np.asarray(mesh.regular_faces, np.int32).T, strict=True)) | LIT
@@ -108,7 +109,7 @@ def _traces(plotter: Plotter) -> Iterator[dict[str, Any]]:
         yield trace
 
 
-def _colours(values: Any, scale: Scale, of_lines: bool) -> dict[str, Any]:
+def _colours(values: Any, scale: Scale, of_lines: bool) -> JsonObject:
     """Values on a scale with its bar."""
     to_shown = np.log10 if scale.spread == "log" else np.asarray
     shown, (low, top) = to_shown(np.maximum(values, scale.low)), to_shown([scale.low, scale.top]).tolist()
@@ -116,7 +117,7 @@ def _colours(values: Any, scale: Scale, of_lines: bool) -> dict[str, Any]:
     places = np.linspace(0.0, 1.0, 101)
     tones = [f"rgb({','.join(map(str, tone[:3]))})" for tone in scale.colour_map()(share * places, bytes=True)]
     colours = [*zip(places.tolist(), tones, strict=True)]
-    bar: dict[str, Any] = {"title": {"text": scale.title, "side": "right"}, "len": 0.7, "thickness": 18}
+    bar: JsonObject = {"title": {"text": scale.title, "side": "right"}, "len": 0.7, "thickness": 18}
     bar |= {"x": RIGHT, "xanchor": "right"}
     if scale.spread == "log":
         ticks = np.linspace(low, top, 6)
@@ -127,7 +128,7 @@ def _colours(values: Any, scale: Scale, of_lines: bool) -> dict[str, Any]:
     return hover | {"showlegend": False} | own
 
 
-def _scene(plotter: Plotter) -> dict[str, Any]:
+def _scene(plotter: Plotter) -> JsonObject:
     renderer = plotter.renderers[0]
     sides = np.maximum(np.ptp(np.reshape(renderer.bounds, (3, 2)), axis=1), 1e-12)
     sides = np.maximum(sides, 1e-3 * sides.max())

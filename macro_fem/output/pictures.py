@@ -68,7 +68,7 @@ class Pictures:
             scene.refuse(f"[load] steps = 1: there is nothing to animate; set steps = 10 or {NO_GIF}")
         report, dxf = ("report", ".pdf", "typst", "report"), ("dxf", ".dxf", "ezdxf", "cad")
         for name, ending, package, extra in (report, dxf):
-            path: Path | None = getattr(self, name)
+            path: Path | None = vars(self)[name]
             if path is not None:
                 require(package, extra, f"--{name}", "leave it out")
                 check_out_file(path, f"--{name}", inputs, (ending,))
@@ -255,7 +255,7 @@ def _directions(solution: CurtainSolution, principal: tuple[Array, Array], scale
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
     share = np.sqrt(np.minimum(values[cells, 0] / scale.top, 1.0))
     centre = solution.corners[:, :2][mesh.t.T[cells]].mean(axis=1)
-    half = 0.01 * solution.problem.mesh.size * along * share[:, None]
+    half = 0.006 * solution.problem.mesh.size * along * (1.0 + share)[:, None]
     tones = np.where(share > 0.55, "black", "white").tolist()  # black on bright colours, white on dark ones
     ax.add_collection(LineCollection(list(np.stack([centre - half, centre + half], axis=1)), colors=tones, lw=0.8))
     ax.plot([], [], color="black", lw=1.2, label="direction of the largest line load")

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
 
 from macro_fem.judged import asked_of_rings, links, spot_loads
 from macro_fem.motion_summary import CurtainMotionSummary, MotionSummary
@@ -11,6 +10,7 @@ from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, Wind
 from macro_fem.summary import CombinationRow, CurtainNumbers, CurtainSummary, Envelope, Order
 from rve.common import digits
+from rve.common.files import Record
 
 OF_FORCE = (
     "triangles there are too large for an average over one cell of the rings, so for the mesh the factor is that of "
@@ -168,7 +168,7 @@ def every_ring_lines(summary: EveryRingSummary, out: Path) -> list[str]:
     ]
 
 
-def ring_field_lines(found: dict[str, Any], out: Path) -> Iterator[str]:
+def ring_field_lines(found: Record, out: Path) -> Iterator[str]:
     """How the rings of a curtain fit, and the forces between them."""
     by_status = ", ".join(f"{count} {name}" for name, count in found["cells_by_status"].items())
     yield f"{found['rings']} rings in {found['cells']} cells ({by_status}), {found['wall_s']:.1f} s; in {out}"

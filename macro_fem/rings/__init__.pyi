@@ -2,10 +2,15 @@ from .cost import memory_GB as memory_GB
 from .cost import ring_cost as ring_cost
 from .curtain import Curtain as Curtain
 from .curtain import Sites as Sites
+from .curtain import Told as Told
+from .curtain import curtain_of as curtain_of
 from .every_ring import Comparison as Comparison
 from .every_ring import EveryRing as EveryRing
 from .every_ring import EveryRingSolution as EveryRingSolution
 from .field import RingField as RingField
+from .localize import find_sites as find_sites
+from .localize import place_rings as place_rings
+from .localize import turns as turns
 from .ring_scene import RingScene as RingScene
 from .ring_scene import in_material as in_material
 from .ring_scene import ring_scene as ring_scene

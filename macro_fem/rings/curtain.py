@@ -15,7 +15,18 @@ from msgspec import Meta
 
 from macro_fem.fem.cells import recovered, signed_areas
 from macro_fem.scene.meshing.mesh_files import read_mesh_file
-from rve.common import Array, Index, InputError, Rows, Typed, check_belongs, read_json_object, read_typed, types_of
+from rve.common import (
+    Array,
+    Index,
+    InputError,
+    JsonObject,
+    Rows,
+    Typed,
+    check_belongs,
+    read_json_object,
+    read_typed,
+    types_of,
+)
 from rve.common.arguments import checked
 from rve.common.materials import Material
 from rve.common.records import ByValue
@@ -32,13 +43,13 @@ class Told(Typed):
     and reference cell of its rings, None for a law without rings, their material if it is known, and its supports."""
 
     hang_deg: Annotated[float, Meta(ge=-360.0, le=360.0)]
-    rings: dict[str, Any] | None = None
+    rings: JsonObject | None = None
     material: Material | None = None
     weave: str | None = None
     grain: Literal["y", "x"] = "y"
     reference_cell: Literal["side-by-side", "locked"] = "side-by-side"
     status: str = "unknown"
-    support_forces: tuple[dict[str, Any], ...] = ()
+    support_forces: tuple[JsonObject, ...] = ()
 
     @property
     def at_support(self) -> dict[str, str | float] | None:

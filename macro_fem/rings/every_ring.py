@@ -19,7 +19,7 @@ from macro_fem.ring_summary import EveryRingSummary, RingObstacle
 from macro_fem.rings.ring_scene import RingScene
 from macro_fem.summary import HeldPoint, RingSupport
 from rve import Cell
-from rve.common import Array, InputError, check_fields, versions
+from rve.common import Array, InputError, JsonObject, check_fields, versions
 from rve.common.drawing.plane import new_axes, save_figure
 from rve.common.optional import Axes
 from rve.finite import FiniteSolution
@@ -146,7 +146,7 @@ class Comparison:
     rings: EveryRingSolution
 
     @cached_property
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> JsonObject:
         """Numbers side by side: lengths in mm, forces in N, line loads in N/mm of reference length.
 
         shape_distance_mm: root mean square, over the reference area, of the distance of the rings' centres from the

@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from macro_fem.output.images import save_picture, save_view
 from macro_fem.output.pictures import Drawings, Pictures, draw_all
 from macro_fem.rings.curtain import Curtain, Sites
 from rve import Cell
-from rve.common import Array, Index, InputError, checked, csv_text, digits, job, versions, write_text
+from rve.common import Array, Index, InputError, JsonObject, checked, csv_text, digits, job, versions, write_text
 from rve.common.drawing.space import THREE_QUARTERS, add, add_length, lines, look, new_plotter, sheet_axes
 from rve.common.optional import Axes, Plotter
 from rve.placed import NEAR, POSE_MEANINGS, CellForces, DrawnRings, Fit, NearestPoses, write_solids
@@ -79,7 +78,7 @@ class RingField:
         return self.states.status[self.row]
 
     @cached_property
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> JsonObject:
         """The numbers of localize.json: lengths in mm, forces in N, line loads in N/mm."""
         cell, curtain, states, fit, worst = self.cell, self.curtain, self.states, self.fit, self.worst
         told, forces, status, gap = curtain.told, worst.forces, self.status, self.data["drawn_gap_mm"]
@@ -167,7 +166,7 @@ class RingField:
         solids: str | None = None,
         render: bool = False,
         inputs: Iterable[str | Path | None] = (),
-    ) -> dict[str, Any]:
+    ) -> JsonObject:
         """Write rings.vtu, worst_cell.csv, localize.json and rings.png into `folder`; the summary.
 
         `tubes`: write tori instead of centre lines; `solids`: "3mf", "glb" or "stl", writes rings.3mf and so on, for

@@ -20,7 +20,7 @@ from macro_fem.judged import Disks, Nearby
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites, curtain_file, read_curtain
 from macro_fem.rings.field import RECORD, RingField, WorstCell
-from rve.common import Array, Index, InputError, check_out_job, checked, read_entry, tell
+from rve.common import Array, Index, InputError, JsonObject, check_out_job, checked, read_entry, tell
 from rve.common.tensor import WEIGHT, double_dot
 from rve.geometry import cauchy_of, deformation_gradient
 from rve.placed import (
@@ -88,9 +88,7 @@ def localize(
     return RingField(curtain, cell, sites, centre, normal, states, row, fit, force, worst, wall_s)
 
 
-def run_localize(
-    path: Path, out: Path, window: tuple[float, ...] | None, max_rings: int, **files: Any
-) -> dict[str, Any]:
+def run_localize(path: Path, out: Path, window: tuple[float, ...] | None, max_rings: int, **files: Any) -> JsonObject:
     """`localize` and `RingField.save` into `out`, `files` as there; the summary. What the picture needs and what `out`
     would overwrite is checked before anything is solved."""
     inputs = [curtain_file(path)]

@@ -130,7 +130,7 @@ def _in_whole_cells(scene: Scene, info: CellInfo) -> tuple[Scene, tuple[str, ...
     sides = (info.b_x_mm, info.b_y_mm) if curtain.weave_angle % 180.0 == 0.0 else (info.b_y_mm, info.b_x_mm)
     notes = []
     for name, side in zip(("width", "height"), sides, strict=True):
-        asked = getattr(curtain, name)
+        asked = vars(curtain)[name]
         count = round(asked / side)
         if count and NEARLY_WHOLE > abs(asked / side - count) > WHOLE:
             notes.append(f"{name} = {asked:g} mm is taken as {count} whole cells of the weave, {count * side:.7g} mm")

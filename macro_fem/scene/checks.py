@@ -10,7 +10,8 @@ from macro_fem.scene.obstacles import Body
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.support_kinds import Edge, Hanging, Track
-from macro_fem.scene.tables import FACTORED, NO_MOVE, Bar, Load, PatchLoad, Timed, Vector, Wind, in_3d
+from macro_fem.scene.tables import FACTORED, Bar, Load, PatchLoad, Timed, Vector, Wind, in_3d
+from rve.common import Typed
 from rve.common.typed import BadField
 
 OF_HOOKS, OF_REST = ("capacity", "rings_per_hook"), ("tolerance", "max_iterations", "stabilising_tension")
@@ -36,7 +37,7 @@ def _contradictions(scene: Scene) -> Iterator[str]:
         what = f'shape = "{shape.kind}"' if not isinstance(shape, Rectangle) else "holes"
         yield f"[mesh] pattern = {pattern!r}: has no effect with {what}"
     for item in scene.support:
-        held, move = getattr(item, "held", "both"), getattr(item, "move", NO_MOVE)
+        held, move = item.held, item.move
         for axis, way in zip("xyz", in_3d(move), strict=True):
             if way != 0.0 and held != "both" and axis not in held:
                 yield f"{item.where} move = {list(move)}: has no effect along {axis}, as held = {held!r}"
@@ -47,7 +48,7 @@ def _contradictions(scene: Scene) -> Iterator[str]:
         let_go = "" if scene.motion is None else "; [motion] start = 'reference' begins there"
         yield f"[start]: has no effect without bodies and following pressure{let_go}"
     is_live = [isinstance(item, Load) and not isinstance(item, Bar) for item in scene.items]
-    changes = any(is_live) or any(any(getattr(item, "move", ())) for item in scene.items)
+    changes = any(is_live) or any(any(item.move) for item in scene.items)
     if steps > 1 and not changes:
         yield f"[load] steps = {steps}: has no effect without live loads and moves"
     if any(wind.speed is not None for wind in scene.of(Wind)) and not scene.in_space:
@@ -78,7 +79,7 @@ def _of_flow(scene: Scene) -> Iterator[str]:
 def _over_time(scene: Scene) -> Iterator[str]:
     """Histories that do not go on in time, and keys that need [motion]."""
     for item in scene.items:
-        history, release = getattr(item, "history", ()), getattr(item, "release", None)
+        history, release = item.history, item.release
         if scene.motion is None and (history or release is not None):
             yield f"{item.where} {'history' if history else 'release'}: has no effect without [motion] duration"
         if scene.motion is None and isinstance(item, Ball):
@@ -101,12 +102,13 @@ def _over_time(scene: Scene) -> Iterator[str]:
     if scene.solver.is_bounded:
         yield "[solver] bounds and adapt: have no effect in motion"
     for key in keys_set(scene.solver, OF_REST) if scene.motion.start == "reference" else ():
-        yield f"[motion] start = 'reference': [solver] {key} = {getattr(scene.solver, key):g}: has no effect in motion"
+        yield f"[motion] start = 'reference': [solver] {key} = {vars(scene.solver)[key]:g}: has no effect in motion"
 
 
-def keys_set(record: object, keys: Iterable[str]) -> list[str]:
+def keys_set(record: Typed, keys: Iterable[str]) -> list[str]:
     """Those of the keys that a record has and whose value is not the default."""
-    return [key for key in keys if getattr(record, key, None) != getattr(type(record), key, None)]
+    own, unset = vars(record), {item.name: item.default for item in fields(record)}  # type: ignore[arg-type]
+    return [key for key in keys if key in unset and own[key] != unset[key]]
 
 
 def _of_combinations(scene: Scene) -> Iterator[str]:

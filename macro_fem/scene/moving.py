@@ -68,14 +68,16 @@ class Ball(Item, kind="sphere"):
 def scaled(item: Kind, share: float, keys: tuple[str, ...] = ("force", "move", "pressure", "drawn")) -> Kind:
     """The item with those of its `keys` that it has times `share`, and a speed, whose pressure goes with its square;
     BadField for a share that it cannot have."""
-    new: dict[str, Any] = {}
-    for key in (key for key in keys if getattr(item, key, None) is not None):
-        value = getattr(item, key)
-        new[key] = tuple(share * part for part in value) if isinstance(value, tuple) else share * value
-    if getattr(item, "speed", None) is not None:
+    own = {key: value for key, value in vars(item).items() if value is not None}
+    new = {
+        key: tuple(share * x for x in own[key]) if isinstance(own[key], tuple) else share * own[key]
+        for key in keys
+        if key in own
+    }
+    if "speed" in own:
         if share < 0.0:
             item.refuse("a wind with a speed does not turn, give one for each direction")
-        new["speed"] = float(np.sqrt(share)) * item.speed  # type: ignore[attr-defined]
+        new["speed"] = float(np.sqrt(share)) * own["speed"]
     return replace(item, **new)
 
 

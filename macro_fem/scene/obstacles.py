@@ -36,15 +36,15 @@ class Obstacle(Timed):
     kinds: ClassVar[dict[str, type[Any]]] = {}
     table = "obstacle"
     name: str
-    move: Vector
 
-    def check(self) -> None:
-        check_directions(self, "facing", "axis")
+    @property
+    def is_plane(self) -> bool:
+        """Whether it is a half-space of the plane of the curtain."""
+        return True
 
     @property
     def space_reason(self) -> str:
-        in_plane = not isinstance(self, Body) and not leaves_plane(getattr(self, "facing", NO_MOVE))
-        return "" if in_plane else f"{self.name} is not a half-space of the plane"
+        return "" if self.is_plane else f"{self.name} is not a half-space of the plane"
 
     @property
     def breadth(self) -> float:
@@ -65,6 +65,10 @@ class Body(Obstacle):
 
     clear: str
     radius: float
+
+    @property
+    def is_plane(self) -> bool:
+        return False
 
     @property
     def breadth(self) -> float:
@@ -94,6 +98,13 @@ class Wall(Obstacle, kind="wall"):
     point: Way = (0.0, 0.0)
     move: Way = NO_MOVE
     name: tables.Name = "wall"
+
+    def check(self) -> None:
+        check_directions(self, facing=self.facing)
+
+    @property
+    def is_plane(self) -> bool:
+        return not leaves_plane(self.facing)
 
     def normal(self, x: Array) -> Array:
         return np.tile(unit(self.facing), (len(x), 1))
@@ -129,6 +140,9 @@ class Cylinder(Body, kind="cylinder"):
     move: Way = NO_MOVE
     name: tables.Name = "cylinder"
     clear: Literal["cells", "nodes"] = "cells"
+
+    def check(self) -> None:
+        check_directions(self, axis=self.axis)
 
     def normal(self, x: Array) -> Array:
         axis = unit(self.axis)
@@ -198,7 +212,7 @@ class Start(Typed):
     y_axis: tables.Direction = (0.0, 1.0, 0.0)
 
     def check(self) -> None:
-        check_directions(self, "x_axis", "y_axis")
+        check_directions(self, x_axis=self.x_axis, y_axis=self.y_axis)
         if abs(float(unit(self.x_axis) @ unit(self.y_axis))) > RIGHT_ANGLE:
             self.refuse(f"y_axis = {list(self.y_axis)}: is not at a right angle to x_axis")
 

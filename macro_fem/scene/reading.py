@@ -12,7 +12,7 @@ from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import Mesh, MeshFile, Outline, Shape
 from macro_fem.scene.tables import Combination, Item, Load, Loading, Project, Solver
-from rve.common import InputError, Typed, read_as, read_toml, read_typed, refuse_unknown, shown, types_of
+from rve.common import InputError, JsonObject, Typed, read_as, read_toml, read_typed, refuse_unknown, shown, types_of
 from rve.common.materials import described
 from rve.common.plugins import load_installed
 from rve.common.typed import not_one_of
@@ -37,7 +37,7 @@ def load_scene(path: str | Path) -> Scene:
         return read_scene(read_toml(path), path)
 
 
-def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
+def read_scene(data: JsonObject, source: str | Path = "scene") -> Scene:
     """The scene of parsed TOML tables.
 
     >>> read_scene({"curtain": {"width": 1000.0, "height": 500.0}, "support": {"kind": "top"}}).support
@@ -94,7 +94,7 @@ def _home(word: Any) -> str:
     return f"write {' or '.join(lists)}" if lists else ""
 
 
-def _from_dxf(curtain: dict[str, Any], source: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
+def _from_dxf(curtain: JsonObject, source: Path) -> tuple[JsonObject, tuple[str, ...]]:
     """The table of an outline in place of one that names a DXF file, and what was mended in the file."""
     file = curtain.pop("file", None)
     if not isinstance(file, str) or not file:

@@ -86,6 +86,7 @@ class Support(Timed):
     edge_needed: ClassVar[str | None] = "top"
     one: ClassVar[str] = "point"
     """What results call one of the points that it holds."""
+    gather, rings_per_hook, held = 1.0, 1, "both"
     release: Time | None = field(default=None, repr=False)
 
     def places(self, border: Border) -> Places:
@@ -93,7 +94,7 @@ class Support(Timed):
 
         InputError if there is no such place.
         """
-        return Places(edge=getattr(self, "edge", self.edge_needed) or "")
+        return Places(edge=self.on_edge or "")
 
     def hold(self, border: Border, nodes: Index) -> Held:
         """The nodes (k,) of a mesh with this border, held in space and not yet moved; those of an edge are in order.
@@ -106,15 +107,15 @@ class Support(Timed):
         """The nodes held at places `target` (k, 2) or (k, 3) in the components of `held`; InputError for a gather that
         moves none of them."""
         mask = np.tile([held == "both" or axis in held for axis in "xyz"], (len(target), 1))
-        gather, way = getattr(self, "gather", 1.0), target[:, :2] - border.points[nodes]
-        if gather != 1.0 and np.abs(way[mask[:, :2]]).max(initial=0.0) <= 1e-9 * border.size:
-            raise InputError(f"[support] gather = {gather:g}: has no effect on {name}, which it holds as it is")
+        way = target[:, :2] - border.points[nodes]
+        if self.gather != 1.0 and np.abs(way[mask[:, :2]]).max(initial=0.0) <= 1e-9 * border.size:
+            raise InputError(f"[support] gather = {self.gather:g}: has no effect on {name}, which it holds as it is")
         return Held(name, nodes, mask, padded(target))
 
     def _narrowed(self, border: Border, nodes: Index) -> Array:
         """Places (k, 2) of nodes of the top edge, narrowed by `gather` about the middle of the curtain."""
         middle = 0.5 * (border.points[:, 0].min() + border.points[:, 0].max())
-        share = np.array([getattr(self, "gather", 1.0), 1.0])
+        share = np.array([self.gather, 1.0])
         return np.asarray([middle, 0.0] + share * (border.points[nodes] - [middle, 0.0]))
 
 
@@ -370,9 +371,9 @@ class Track(Hanging, kind="track"):
 
     def check(self) -> None:
         if self.path is not None:
-            for key in ("radius", "angle"):
-                if getattr(self, key) is not None:
-                    self.refuse(f"{key} = {getattr(self, key):g}: is not used together with path")
+            for key, value in (("radius", self.radius), ("angle", self.angle)):
+                if value is not None:
+                    self.refuse(f"{key} = {value:g}: is not used together with path")
             for one, two in pairwise(self.path):
                 if one == two:
                     self.refuse(f"path: holds [{one[0]:g}, {one[1]:g}] twice in a row")
@@ -382,9 +383,9 @@ class Track(Hanging, kind="track"):
         if self.angle == 0.0:
             self.refuse("angle = 0: makes no arc; leave it out for a straight track")
         super().check()
-        for key, unset in () if self.has_hooks else (("capacity", None), ("rings_per_hook", 1)):
-            if getattr(self, key) != unset:
-                self.refuse(f"{key} = {getattr(self, key):g}: has no effect without pitch, that of the runners")
+        for key, value in (("capacity", self.capacity), ("rings_per_hook", self.rings_per_hook)):
+            if not self.has_hooks and value not in (None, 1):
+                self.refuse(f"{key} = {value:g}: has no effect without pitch, that of the runners")
         if self.side == "end" and self.drawn == 1.0 and not self.history:
             self.refuse("side = 'end': has no effect with drawn = 1")
 

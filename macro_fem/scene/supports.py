@@ -20,7 +20,7 @@ from macro_fem.scene.meshing.mesh import CurtainMesh, edge_nodes
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.support_kinds import NONE, PARALLEL, Held, Support, sloping
-from macro_fem.scene.tables import NO_MOVE, Bar
+from macro_fem.scene.tables import Bar
 from rve.common import Array, InputError, shown
 from rve.common.records import Index
 
@@ -148,7 +148,7 @@ def _held(scene: Scene, number: int, mesh: CurtainMesh, disc: Discretization, fa
     with scene.in_errors():
         held = item.hold(mesh.border, mesh.border.nodes(places.edge) if places.edge else places.nodes)
         _check_held(held, item, d)
-    positions = held.positions[:, :d] + factor * scene.vector(getattr(item, "move", NO_MOVE))
+    positions = held.positions[:, :d] + factor * scene.vector(item.move)
     slide, facets = None if held.slide is None else held.slide[:d], mesh.edges.get(places.edge, NONE)
     held = replace(held, mask=held.mask[:, :d], positions=positions, slide=slide, facets=facets, number=number)
     if disc.element != "P2" or not len(facets):

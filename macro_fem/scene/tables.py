@@ -56,11 +56,11 @@ def in_3d(v: Vector) -> tuple[float, float, float]:
     return x, y, z[0] if z else 0.0
 
 
-def check_directions(record: Typed, *keys: str) -> None:
-    """Refuse vectors of a record, of those keys that it has, whose components are all 0."""
-    for key in keys:
-        if not any(getattr(record, key, (1.0,))):
-            record.refuse(f"{key} = {list(getattr(record, key))}: has no direction: one component must not be 0")
+def check_directions(record: Typed, **vectors: Vector) -> None:
+    """Refuse vectors of a record whose components are all 0."""
+    for key, vector in vectors.items():
+        if not any(vector):
+            record.refuse(f"{key} = {list(vector)}: has no direction: one component must not be 0")
 
 
 def leaves_plane(v: Vector) -> bool:
@@ -90,6 +90,14 @@ class Item(Entry):
     """The list of a scene file that holds such entries."""
     edge_needed: ClassVar[str | None] = None
     """The named edge of the curtain that it needs, if it has no `edge` of its own."""
+    move: Vector = NO_MOVE
+    history: History = ()
+    release: float | None = None
+
+    @property
+    def on_edge(self) -> str | None:
+        """The named edge of the curtain that it needs."""
+        return vars(self).get("edge", self.edge_needed)
 
     @property
     def where(self) -> str:
@@ -100,8 +108,8 @@ class Item(Entry):
     def space_reason(self) -> str:
         """Why the entry takes the curtain into space; "" if it does not."""
         for key in ("move", "force", "direction"):
-            if leaves_plane(getattr(self, key, NO_MOVE)):
-                return f"{key} = {list(getattr(self, key))} leaves the plane"
+            if leaves_plane(way := vars(self).get(key, NO_MOVE)):
+                return f"{key} = {list(way)} leaves the plane"
         return ""
 
 
@@ -189,12 +197,12 @@ class Wind(Load, kind="wind"):
     follows: bool = False
 
     def check(self) -> None:
-        check_directions(self, "direction")
+        check_directions(self, direction=self.direction)
         if self.pressure is None and self.speed is None:
             self.refuse("pressure: is missing; give it in N/m2, or speed in m/s")
-        for key in ("speed", "air_density") if self.pressure is not None else ():
-            if getattr(self, key) is not None:
-                self.refuse(f"{key} = {getattr(self, key):g}: is not used together with pressure")
+        for key, value in (("speed", self.speed), ("air_density", self.air_density)):
+            if self.pressure is not None and value is not None:
+                self.refuse(f"{key} = {value:g}: is not used together with pressure")
 
     @property
     def space_reason(self) -> str:

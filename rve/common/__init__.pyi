@@ -7,9 +7,12 @@ from .errors import NotDrawn as NotDrawn
 from .errors import noted_if_stopped as noted_if_stopped
 from .errors import require as require
 from .errors import shown as shown
+from .factor import Factorizer as Factorizer
+from .factor import linear_solver as linear_solver
 from .files import NO_CACHE as NO_CACHE
 from .files import AnyPath as AnyPath
 from .files import Cache as Cache
+from .files import JsonObject as JsonObject
 from .files import atomic_path as atomic_path
 from .files import check_belongs as check_belongs
 from .files import check_out_file as check_out_file
@@ -19,9 +22,12 @@ from .files import job as job
 from .files import json_text as json_text
 from .files import sidecar_path as sidecar_path
 from .files import versions as versions
+from .files import write_mesh_file as write_mesh_file
 from .files import write_text as write_text
 from .materials import STEEL as STEEL
 from .materials import material_of as material_of
+from .plugins import load_installed as load_installed
+from .plugins import load_plugin as load_plugin
 from .progress import Progress as Progress
 from .progress import heard_by as heard_by
 from .progress import part_of as part_of
@@ -31,6 +37,10 @@ from .records import ByValue as ByValue
 from .records import Flags as Flags
 from .records import Index as Index
 from .records import Rows as Rows
+from .ring_sizes import gauge_mm as gauge_mm
+from .ring_sizes import radii_in as radii_in
+from .ring_sizes import radii_of as radii_of
+from .ring_sizes import ring_sizes as ring_sizes
 from .tensor import IDENTITY as IDENTITY
 from .tensor import WEIGHT as WEIGHT
 from .tensor import disc as disc
@@ -52,4 +62,5 @@ from .typed import Typed as Typed
 from .typed import read_entry as read_entry
 from .typed import read_typed as read_typed
 from .typed import refuse_unknown as refuse_unknown
+from .typed import typed as typed
 from .typed import types_of as types_of

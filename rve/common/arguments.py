@@ -50,7 +50,7 @@ def check_fields(record: Any) -> None:
 
 
 @cache
-def _hints(function: Any) -> dict[str, Any]:
+def _hints(function: Any) -> Mapping[str, Any]:
     return get_type_hints(function)
 
 

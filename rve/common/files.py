@@ -29,6 +29,8 @@ from rve.common.errors import InputError
 AnyPath = str | os.PathLike[str]
 Inputs = Iterable[AnyPath | None]
 Record = Mapping[str, Any]
+JsonObject = dict[str, Any]
+"""An object of a JSON file or a table of a TOML file, as it is read or before it is written."""
 
 TABLE_FORMAT = "ring-mesh strain-load table"
 """The entry `format` of a table's sidecar."""
@@ -245,7 +247,7 @@ class Cache:
         """The file of a question that JSON can hold; None if nothing is kept."""
         return None if self.folder is None else Path(self.folder, _digest(question)[:40] + ending)
 
-    def get(self, question: Record) -> dict[str, Any] | None:
+    def get(self, question: Record) -> JsonObject | None:
         """The answer to a question that JSON can hold; None if it is not there."""
         if (path := self.path(question)) is None:
             return None

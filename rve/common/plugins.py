@@ -61,7 +61,7 @@ def place_in_plugin(error: BaseException) -> str:
     return ""
 
 
-def register(kinds: dict[str, Any], kind: str, cls: type) -> None:
+def register(kinds: dict[str, type[Any]], kind: str, cls: type) -> None:
     """Make a class known by the word of files for it; InputError if that is another one's."""
     other = kinds.get(kind, cls)
     if (other.__module__, other.__qualname__) != (cls.__module__, cls.__qualname__):

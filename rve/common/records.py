@@ -72,9 +72,9 @@ class Rows(ByValue):
 
         def put(name: str, own: Any) -> Any:
             if not isinstance(own, np.ndarray):
-                return own.put(rows, getattr(other, name))
+                return own.put(rows, vars(other)[name])
             copy = own.copy()
-            copy[rows] = getattr(other, name)
+            copy[rows] = vars(other)[name]
             return copy
 
         return self._with(put)
@@ -83,7 +83,7 @@ class Rows(ByValue):
         """The rows of this record and of the others, one after the other."""
 
         def join(name: str, own: Any) -> Any:
-            parts = [getattr(other, name) for other in others]
+            parts = [vars(other)[name] for other in others]
             return np.concatenate([own, *parts]) if isinstance(own, np.ndarray) else own.join(parts)
 
         return self._with(join)

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from rve.common.errors import InputError, shown
-from rve.common.files import TABLE_FORMAT, UNREADABLE, AnyPath
+from rve.common.files import TABLE_FORMAT, UNREADABLE, AnyPath, JsonObject
 from rve.common.typed import alone, folded, nearest
 
 if TYPE_CHECKING:
@@ -114,7 +114,9 @@ def read_bytes(path: AnyPath, most: int = MOST_BYTES) -> bytes:
     except TypeError:
         raise InputError(f"a file is read by its path, not from {shown(path):.80}") from None
     except (OSError, ValueError, MemoryError) as error:  # ValueError: a name with a null character
-        raise InputError(f"{str(path)[:200]}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+        raise InputError(
+            f"{str(path)[:200]}: cannot be read: {(isinstance(error, OSError) and error.strerror) or error}"
+        ) from error
     if len(content) > most:
         raise InputError(f"{path}: is larger than {most:,} bytes, which is the most that is read")
     found = _reads.get()
@@ -157,7 +159,7 @@ def _toml_hint(content: bytes, said: str) -> str:
     return f"line {place[1]}: {hint}" if hint else ""
 
 
-def read_json_object(path: AnyPath) -> dict[str, Any]:
+def read_json_object(path: AnyPath) -> JsonObject:
     """The object in a JSON file; InputError if it is not JSON, nested too deeply, or something else."""
     found = _parse(path, MOST_JSON_BYTES, "JSON", json.loads)
     if not isinstance(found, dict):
@@ -165,9 +167,9 @@ def read_json_object(path: AnyPath) -> dict[str, Any]:
     return found
 
 
-def read_toml(path: AnyPath) -> dict[str, Any]:
+def read_toml(path: AnyPath) -> JsonObject:
     """The tables of a TOML file; InputError if it is not TOML or nested too deeply."""
-    found: dict[str, Any] = _parse(path, MOST_TOML_BYTES, "TOML", tomllib.loads)
+    found: JsonObject = _parse(path, MOST_TOML_BYTES, "TOML", tomllib.loads)
     return found
 
 

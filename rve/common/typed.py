@@ -70,7 +70,7 @@ class Typed:
         """Check every field; BadField (an InputError) for the first one that does not fit."""
         for name, kind in types_of(type(self)).items():  # type: ignore[arg-type]
             try:
-                object.__setattr__(self, name, typed(getattr(self, name), kind, name))
+                object.__setattr__(self, name, typed(vars(self)[name], kind, name))
             except ValueError as error:
                 self.refuse(str(error))
         self.check()
@@ -83,7 +83,7 @@ class Typed:
 
 
 @cache
-def types_of(cls: Any) -> dict[str, Any]:
+def types_of(cls: Any) -> Mapping[str, Any]:
     """The type of each field of a dataclass, with its range; InputError for a class that was not made one."""
     hints = get_type_hints(cls, include_extras=True)
     own = [name for name in get_annotations(cls) if get_origin(hints[name]) is not ClassVar]

@@ -15,6 +15,7 @@ from rve.common import (
     ByValue,
     Index,
     InputError,
+    JsonObject,
     NotConverged,
     checked,
     checksum,
@@ -84,7 +85,7 @@ class LoadHistory(ByValue):
 
     def __post_init__(self) -> None:
         for item in fields(self):
-            object.__setattr__(self, item.name, np.atleast_1d(np.asarray(getattr(self, item.name), dtype=float)))
+            object.__setattr__(self, item.name, np.atleast_1d(np.asarray(vars(self)[item.name], dtype=float)))
         if len({one.shape for one in vars(self).values()}) > 1 or self.time_s.ndim != 1:
             raise InputError("a load history has as many times as angles alpha, angles beta and sizes")
         if self.time_s[0] != 0.0 or not (np.diff(self.time_s) > 0.0).all():
@@ -197,7 +198,7 @@ class Simulation(ByValue):
         """Line loads, or energies per reference area, of the unit s_hat."""
         return 1e-3 * self.options.load * values
 
-    def ends(self, direct: StrainTable) -> list[dict[str, Any]]:
+    def ends(self, direct: StrainTable) -> list[JsonObject]:
         """How each case ended, beside the locked state of the direct solver under its last load."""
         rest, lost = self.rest, self.in_N_per_mm(self.rest.lost / self.area)
         columns: dict[str, NDArray[Any]] = {
@@ -212,7 +213,7 @@ class Simulation(ByValue):
         rows = zip(*(column.tolist() for column in columns.values()), strict=True)
         return [dict(zip(columns, row, strict=True)) for row in rows]
 
-    def record(self, direct: StrainTable) -> dict[str, Any]:
+    def record(self, direct: StrainTable) -> JsonObject:
         """What was asked for and how it ended, as plain values."""
         rings = {"weave": self.cell.weave.name, "grain": self.cell.grain, "r1_mm": self.cell.r1, "r2_mm": self.cell.r2}
         rings |= dict(zip(("b_x_mm", "b_y_mm"), self.sides_mm, strict=True)) | {"cells": list(self.cell.cells)}
@@ -233,7 +234,7 @@ STEPS = ("t_s", "h_s", *NAMES, "R", "kinetic_N_mm", *LINE_LOADS, "friction_N_per
 load, energy per reference area that friction has taken so far, contacts that press between rings that do not link."""
 
 
-def write_run(run: Simulation, record: dict[str, Any], out: AnyPath) -> None:
+def write_run(run: Simulation, record: JsonObject, out: AnyPath) -> None:
     """The accepted steps of every case as CSV, and the record, with the checksum of the CSV, as JSON beside it."""
     text = csv_text(("case", *STEPS), ([case + 1, *row] for case in range(len(run.E)) for row in run.steps(case)))
     write_text(out, text)
@@ -359,7 +360,7 @@ class FrictionLoop(ByValue):
         W = float(double_dot(*(np.diff(one, axis=0) for one in ends))[0]) / 8.0
         return self.lost / (4.0 * np.pi * W) if self.lost > STUCK else float("nan")
 
-    def record(self) -> dict[str, Any]:
+    def record(self) -> JsonObject:
         """Its numbers as plain values; energies in N/mm, that is N mm per mm2 of reference area."""
         size, band = 1e-3 * self.run.options.load, dict(zip(NAMES, self.band.tolist(), strict=True))
         found = {"area_N_per_mm": size * self.area, "friction_N_per_mm": size * self.lost, "band": band}

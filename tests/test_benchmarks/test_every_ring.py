@@ -13,7 +13,7 @@ from benchmarks.every_ring.cell import edge_forces
 from benchmarks.every_ring.hooks import peak
 from benchmarks.every_ring.starts import random_start
 from macro_fem import Motion
-from macro_fem.motion.rings import MovingRings
+from macro_fem.motion import MovingRings
 from macro_fem.rings import ring_scene
 from rve import Cell, FiniteMesh, pulled_ring
 from rve.common import STEEL

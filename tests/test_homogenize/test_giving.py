@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from homogenize import default_law, elastic_law
-from homogenize.fitting.table import stiffness_by_direction
+from homogenize.fitting import stiffness_by_direction
 from homogenize.laws import constant_compliance, giving_law, work_along
 from rve.common import WEIGHT, double_dot, eigenvalues, trace
 

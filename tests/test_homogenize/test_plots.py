@@ -10,7 +10,7 @@ from homogenize import default_law
 from homogenize.cli import main
 from homogenize.fitting import rows_from_table
 from homogenize.io import DEFAULT_LAW
-from homogenize.laws.pictures import locking_surface, strength_loads
+from homogenize.laws import locking_surface, strength_loads
 from rve import read_table
 
 TABLE = Path(__file__).parent / "data" / "table190.csv"

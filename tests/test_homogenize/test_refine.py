@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from homogenize import default_law, locked_strain
-from homogenize.fitting import bounds_of, random_loads, refined_half_spaces, rows_from_table
-from homogenize.fitting.refine import FINEST, Nodes, on_arcs
+from homogenize.fitting import FINEST, Nodes, bounds_of, on_arcs, random_loads, refined_half_spaces, rows_from_table
 from homogenize.laws import polyhedral_law
 from rve import Cell, graded_grid, read_table, solve_table
 from rve.common import disc, double_dot, from_disc

@@ -7,8 +7,7 @@ import pytest
 
 from homogenize import default_law, fit
 from homogenize.directions import beyond, limits_of
-from homogenize.fitting import error_report, normality, outer_law
-from homogenize.fitting.report import held_out_misfit
+from homogenize.fitting import error_report, held_out_misfit, normality, outer_law
 from homogenize.query import extrapolates
 from rve.common import from_disc, trace
 from rve.geometry import deformation_gradient, second_pk

@@ -8,8 +8,7 @@ import pytest
 from homogenize import default_law, diagonal_net, locked_strain, ring_net
 from homogenize.fitting import outer_law, random_loads, refined_half_spaces, rows_from_table
 from homogenize.laws import LockedRows, polyhedral_law, read_rows, ring_cell
-from homogenize.query import strain_bounds
-from homogenize.query.strain import StrainOptions
+from homogenize.query import StrainOptions, strain_bounds
 from rve import Cell, DirectOptions, InputError, read_table, solve_table
 from rve.common import double_dot, dyad, from_disc, trace
 from rve.directions import product

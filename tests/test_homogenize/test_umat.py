@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from homogenize import diagonal_net
-from homogenize.export import even_law, umat_source
-from homogenize.export.umat import data_statements
+from homogenize.export import data_statements, even_law, umat_source
 from homogenize.fitting import outer_law, refined_half_spaces
 from homogenize.laws import polyhedral_law
 from rve import InputError

@@ -7,8 +7,7 @@ from homogenize import default_law, with_material
 from macro_fem import read_scene
 from macro_fem.curtain import make_problem, solve_problem
 from macro_fem.fem import SupportedFem
-from macro_fem.scene.loads import drag_coefficient, ring_solidity
-from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.scene import build_mesh, drag_coefficient, ring_solidity
 
 
 def fallen(t, damping=0.0, drag=0.0, g=9810.0):

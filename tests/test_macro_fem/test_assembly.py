@@ -5,8 +5,7 @@ import pytest
 import skfem
 from skfem.helpers import dot, grad
 
-from macro_fem.fem import SparsityPattern, discretize, gradient, internal_force, load_vector, stiffness
-from macro_fem.fem.discretization import ELEMENTS
+from macro_fem.fem import ELEMENTS, SparsityPattern, discretize, gradient, internal_force, load_vector, stiffness
 
 
 def distorted(n=4, amount=0.03, seed=0):

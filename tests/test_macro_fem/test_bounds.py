@@ -7,13 +7,11 @@ import pytest
 
 from homogenize import diagonal_net
 from macro_fem import read_scene
-from macro_fem.bounds import bound
-from macro_fem.bounds.equilibrated import dual_disc
-from macro_fem.bounds.interval import mark
+from macro_fem.bounds import bound, dual_disc, mark
 from macro_fem.fem import gradient, internal_force
 from macro_fem.job import solve_membrane
-from macro_fem.output.told import interval_line
-from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.output import interval_line
+from macro_fem.scene import build_mesh
 from tests.test_macro_fem.sheets import sheet, solve_scene
 
 NET_MEAN_HEIGHT = 14.187635  # 40 x 40 net square, top gathered to 70 %, DESIGN section 6

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from macro_fem import read_scene
-from macro_fem.bounds import bound
+from macro_fem.bounds import at_dual_nodes, bound, dual_problem
 from macro_fem.bounds import interval as bounds
-from macro_fem.bounds.equilibrated import at_dual_nodes, dual_problem
 from macro_fem.curtain import gathered_start, solve_problem
 from macro_fem.solvers import PathOptions, all_cuts, green_strain, solve_path
 from tests.test_macro_fem.sheets import posed, solve_scene

@@ -7,8 +7,7 @@ from scipy.spatial.transform import Rotation
 from macro_fem import read_scene
 from macro_fem.fem import discretize
 from macro_fem.rings import ring_scene
-from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.supports import build_supports
+from macro_fem.scene import build_mesh, build_supports
 from rve import InputError
 from tests.test_macro_fem.sheets import solve_scene
 

@@ -13,7 +13,7 @@ from homogenize import default_law
 from macro_fem import read_scene
 from macro_fem.curtain import solve_problem
 from macro_fem.fem import counterclockwise
-from macro_fem.output.files import summarize
+from macro_fem.output import summarize
 from rve import InputError
 from tests.test_macro_fem.sheets import posed
 

@@ -9,15 +9,14 @@ import pytest
 from homogenize import default_law, read_law_interval
 from homogenize.fitting import law_interval
 from macro_fem import OnDemand, demand, read_scene, solve
-from macro_fem.bounds.interval import admissible_problem, bound, loads_of
+from macro_fem.bounds import admissible_problem, bound, loads_of
 from macro_fem.curtain import make_problem, solve_problem
 from macro_fem.demand import Rings, distance, solve_on_demand
 from macro_fem.judged import MEANING, critical_load, judge_strength
-from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.scene import build_mesh
 from macro_fem.solvers.cones import least_slack
 from rve import WEAVES, Cell, solve_table
-from rve.common import InputError
-from rve.common.tensor import trace
+from rve.common import InputError, trace
 
 KNOWN = read_law_interval()
 

@@ -10,9 +10,8 @@ from scipy.spatial import cKDTree
 from homogenize import diagonal_net
 from macro_fem import read_scene
 from macro_fem.curtain import make_problem
-from macro_fem.output.files import summarize
-from macro_fem.scene.meshing.edges import border_of
-from macro_fem.scene.meshing.mesh import build_mesh, mesh_outline, refine
+from macro_fem.output import summarize
+from macro_fem.scene import border_of, build_mesh, mesh_outline, refine
 from rve import InputError
 from tests.test_macro_fem.sheets import solve_scene
 

@@ -11,8 +11,8 @@ from homogenize import default_law
 from macro_fem import load_scene, read_scene
 from macro_fem.cli import main
 from macro_fem.curtain import make_problem
-from macro_fem.motion.stage import scene_at
-from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.motion import scene_at
+from macro_fem.scene import build_mesh
 from tests.test_macro_fem.sheets import least_angle, sheet, solve_scene
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.toml"))

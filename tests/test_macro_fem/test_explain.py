@@ -7,7 +7,7 @@ from benchmarks.problems import square
 from homogenize import default_law
 from macro_fem import read_scene
 from macro_fem.curtain import make_problem, solve_problem
-from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.scene import build_mesh
 
 LAW = default_law()
 

@@ -9,8 +9,7 @@ from homogenize import ClothLaw
 from macro_fem import read_scene
 from macro_fem.curtain import make_problem, solve_problem, wind_density
 from macro_fem.fem import load_vector
-from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.supports import Sliding, Supports
+from macro_fem.scene import Sliding, Supports, build_mesh
 
 DISK = 100.0
 RADIUS = 0.762760 * DISK

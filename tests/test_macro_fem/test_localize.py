@@ -12,10 +12,8 @@ from click.testing import CliRunner
 from homogenize import default_law
 from macro_fem import localize
 from macro_fem.cli import main
-from macro_fem.output.files import weave_of
-from macro_fem.rings import Curtain
-from macro_fem.rings.curtain import Told, curtain_of
-from macro_fem.rings.localize import find_sites, place_rings, turns
+from macro_fem.output import weave_of
+from macro_fem.rings import Curtain, Told, curtain_of, find_sites, place_rings, turns
 from rve import Cell, DirectOptions, InputError
 from rve.common import checksum
 from rve.geometry import SIX_IN_ONE, cauchy_line_load, deformation_gradient, find_contacts, lattice_strain, second_pk

@@ -11,9 +11,7 @@ from scipy.spatial.transform import Rotation
 from homogenize import default_law
 from macro_fem import Ball, read_scene
 from macro_fem.fem import counterclockwise, gradient
-from macro_fem.motion.curtain import MovingCurtain
-from macro_fem.motion.series import account_error
-from macro_fem.motion.stage import Contacts
+from macro_fem.motion import Contacts, MovingCurtain, account_error
 from macro_fem.solvers import green_strain
 from tests.test_macro_fem.sheets import mesh_of
 

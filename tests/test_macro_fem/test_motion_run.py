@@ -19,15 +19,21 @@ from homogenize import default_law, with_material
 from macro_fem import read_scene
 from macro_fem.cli import main
 from macro_fem.modes import find_modes
-from macro_fem.motion import files, pace
-from macro_fem.motion.curtain import MovingCurtain
-from macro_fem.motion.pace import COLUMNS
-from macro_fem.motion.series import account_error
-from macro_fem.motion.stage import masses_of, mesh_masses, scene_at
-from macro_fem.motion.step import Moment, kinetic_energy
-from macro_fem.output.arrows import winds
+from macro_fem.motion import (
+    COLUMNS,
+    Moment,
+    MovingCurtain,
+    account_error,
+    files,
+    kinetic_energy,
+    masses_of,
+    mesh_masses,
+    pace,
+    scene_at,
+)
+from macro_fem.output import winds
 from macro_fem.rings import ring_scene
-from macro_fem.scene.loads import wind_pressure
+from macro_fem.scene import wind_pressure
 from rve import Cell, InputError
 from tests.commands import run
 from tests.test_macro_fem.sheets import fallen, solve_scene, still_air

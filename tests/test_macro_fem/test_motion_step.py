@@ -10,9 +10,8 @@ from scipy import sparse
 
 from macro_fem import read_scene
 from macro_fem.curtain import CurtainProblem
-from macro_fem.fem import SupportedFem, load_vector
-from macro_fem.fem.supported import with_loose_nodes
-from macro_fem.motion.step import Account, Moment, TimeStep, end_of, kinetic_energy, solve_step
+from macro_fem.fem import SupportedFem, load_vector, with_loose_nodes
+from macro_fem.motion import Account, Moment, TimeStep, end_of, kinetic_energy, solve_step
 from macro_fem.solvers import Inertia, WallRows, Walls, green_strain
 from tests.test_macro_fem.sheets import posed, sheet
 

@@ -9,10 +9,9 @@ import pytest
 import macro_fem
 from homogenize import ClothLaw, default_law
 from macro_fem import EveryRing, Scene, Sphere, read_scene
-from macro_fem.motion.curtain import MovingCurtain
-from macro_fem.motion.solution import MotionSolution
+from macro_fem.motion import MotionSolution, MovingCurtain
 from macro_fem.motion_summary import CurtainMotionSummary
-from macro_fem.output.told import motion_lines, motion_verdict
+from macro_fem.output import motion_lines, motion_verdict
 from rve import InputError
 
 STRIP = {"curtain": {"width": 125.0, "height": 500.0}, "mesh": {"cells": 1}, "solver": {"kind": "elastic"}}

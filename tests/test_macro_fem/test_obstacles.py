@@ -7,8 +7,7 @@ from homogenize import default_law
 from macro_fem import read_scene, solve
 from macro_fem.curtain import ShapeOptions, solve_problem, solve_shape
 from macro_fem.judged import obstacle_forces, pushes_of
-from macro_fem.scene.obstacles import Obstacle, PlacedObstacle
-from macro_fem.scene.reading import read_records
+from macro_fem.scene import Obstacle, PlacedObstacle, read_records
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
 from tests.test_macro_fem.sheets import posed, sheet
 

@@ -16,7 +16,7 @@ from macro_fem import Bar, Combination, Corners, EdgeLoad, Hooks, Load, Mesh, Ou
 from macro_fem.cli import main
 from macro_fem.judged import combination_rows
 from macro_fem.judged import envelope as envelope_of
-from macro_fem.output.told import governing_line, lean_note, loads_in_words
+from macro_fem.output import governing_line, lean_note, loads_in_words
 from macro_fem.size import Range, find_size, search
 from macro_fem.summary import HeldPoint
 from macro_fem.trials import Sought, answer_of

@@ -15,8 +15,7 @@ from ezdxf.math import bulge_to_arc
 
 from macro_fem import read_scene
 from macro_fem.cli import main
-from macro_fem.scene.meshing.mesh import mesh_outline
-from macro_fem.scene.meshing.outline_files import read_outline, write_outline
+from macro_fem.scene import mesh_outline, read_outline, write_outline
 from rve import InputError
 from tests.test_macro_fem.test_outlines_behaviour import star
 

@@ -6,7 +6,7 @@ import shapely
 from scipy.spatial import cKDTree
 
 from macro_fem.fem import signed_areas
-from macro_fem.scene.meshing.mesh import mesh_outline
+from macro_fem.scene import mesh_outline
 
 
 def star(radii):

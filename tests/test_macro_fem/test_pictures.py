@@ -7,10 +7,7 @@ import numpy as np
 import pytest
 
 import macro_fem
-from macro_fem.output.arrows import pulls, winds
-from macro_fem.output.images import compose, in_turn, parts
-from macro_fem.output.pictures import STATES, panels
-from macro_fem.output.space_view import views
+from macro_fem.output import STATES, compose, in_turn, panels, parts, pulls, views, winds
 from rve import InputError
 from rve.common.drawing.space import new_plotter
 from tests.commands import run

@@ -17,12 +17,9 @@ from macro_fem import read_scene
 from macro_fem.cli import main
 from macro_fem.curtain import make_problem
 from macro_fem.fem import signed_areas
-from macro_fem.output.files import summarize
-from macro_fem.output.told import hooks_lines
+from macro_fem.output import hooks_lines, summarize
 from macro_fem.rings import ring_scene
-from macro_fem.scene.loads import disk_areas
-from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.meshing.nodes import NODES
+from macro_fem.scene import NODES, build_mesh, disk_areas
 from rve import InputError
 from rve.geometry import CellInfo
 from tests.test_macro_fem.sheets import least_angle, solve_scene

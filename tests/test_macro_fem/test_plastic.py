@@ -187,8 +187,8 @@ def test_bounds_close_as_meshes_adapt():
 
 def admissible(tables):
     """The problem of a scene, the law obeyed everywhere."""
-    from macro_fem.bounds.interval import admissible_problem
-    from macro_fem.scene.meshing.mesh import build_mesh
+    from macro_fem.bounds import admissible_problem
+    from macro_fem.scene import build_mesh
 
     scene, law = read_scene(tables), default_law()
     return admissible_problem(scene, law, build_mesh(scene, law.cell))

@@ -6,7 +6,7 @@ import pytest
 
 from homogenize import default_law
 from macro_fem import read_scene, solve
-from macro_fem.motion.curtain import MovingCurtain
+from macro_fem.motion import MovingCurtain
 from rve import InputError
 
 BASE = """

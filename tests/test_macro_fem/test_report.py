@@ -14,11 +14,9 @@ import pytest
 
 import macro_fem
 from macro_fem import Bar, Combination, Hooks, Mesh, PointLoad, Project, Rectangle, Scene, Track, solve
-from macro_fem.output.plans import track_parts
-from macro_fem.output.report_pages import Chapter, Headline, PageTable, write_pages
+from macro_fem.output import Chapter, Headline, PageTable, track_parts, write_pages
 from macro_fem.report import verdict_lines
-from macro_fem.scene.meshing.edges import Line
-from macro_fem.scene.support_kinds import Curve
+from macro_fem.scene import Curve, Line
 from rve import InputError
 from rve.common import digits
 from tests.commands import run

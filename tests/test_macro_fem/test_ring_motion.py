@@ -11,12 +11,8 @@ from click.testing import CliRunner
 from homogenize import default_law
 from macro_fem import EveryRing, read_scene
 from macro_fem.cli import main
-from macro_fem.motion.pace import COLUMNS
-from macro_fem.motion.rings import MovingRings
-from macro_fem.motion.series import account_error
-from macro_fem.motion.stage import TONNE
-from macro_fem.motion.step import Moment
-from macro_fem.output.images import parts
+from macro_fem.motion import COLUMNS, TONNE, Moment, MovingRings, account_error
+from macro_fem.output import parts
 from rve import InputError
 from rve.finite import slack_rings
 from tests.films import film_of

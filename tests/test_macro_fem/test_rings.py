@@ -15,7 +15,7 @@ from homogenize import FitOptions, fit_table
 from macro_fem import read_scene
 from macro_fem.cli import main
 from macro_fem.rings import memory_GB, ring_cost, ring_scene
-from macro_fem.scene.loads import ring_solidity
+from macro_fem.scene import ring_solidity
 from rve import Cell, DirectOptions, InputError, reference_cell, solidity
 
 B_X, B_Y = 11.0, 12.646069623526

@@ -11,7 +11,7 @@ from homogenize import diagonal_net, ring_net
 from macro_fem import load_scene, read_scene
 from macro_fem.cli import main
 from macro_fem.fem import signed_areas
-from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.scene import build_mesh
 from rve import InputError
 from rve.geometry import CellInfo
 from tests.test_macro_fem.sheets import sheet, solve_scene

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from homogenize import default_law
 from macro_fem import compare, load_scene, read_scene, solve
 from macro_fem.curtain import gathered_start
-from macro_fem.output.files import features
-from macro_fem.scene.tables import HeldAxes
+from macro_fem.output import features
+from macro_fem.scene import HeldAxes
 from macro_fem.solvers import green_strain, load_scale
 from rve import InputError
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel

@@ -9,11 +9,10 @@ import pytest
 from homogenize import default_law, fit, ring_net, with_material
 from macro_fem import largest_that_holds, read_scene, solve
 from macro_fem.judged import EXTRAPOLATED, FINE, TOO_COARSE, critical_load, judge_strength, nearest, utilisation
-from macro_fem.output.files import curtain_mesh, summarize
-from macro_fem.output.told import combination_lines, holds_line
-from macro_fem.scene.meshing.mesh_files import read_mesh_file
+from macro_fem.output import combination_lines, curtain_mesh, holds_line, summarize
+from macro_fem.scene import read_mesh_file
 from rve import Cell, InputError, named_material, pulled_ring, read_table, solve_table, with_rings
-from rve.common.files import write_mesh_file
+from rve.common import write_mesh_file
 from tests.test_macro_fem.sheets import sheet, solve_scene
 
 TABLE = Path(__file__).parents[1] / "test_homogenize" / "data" / "table190.csv"

@@ -7,7 +7,7 @@ import pytest
 
 from macro_fem import Track, read_scene
 from macro_fem.bounds import bound
-from macro_fem.scene.meshing.edges import Line
+from macro_fem.scene import Line
 from tests.test_macro_fem.sheets import solve_scene
 
 from .conftest import STRETCH_X

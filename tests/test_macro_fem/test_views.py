@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from macro_fem.output.html_page import write_page
-from macro_fem.output.images import compose, save_picture
+from macro_fem.output import compose, save_picture, write_page
 from rve import InputError
 from rve.common.drawing.plane import Scale
 from rve.common.drawing.space import (

@@ -17,7 +17,7 @@ from macro_fem.curtain import (
     wind_density,
     wind_drags,
 )
-from macro_fem.scene.loads import drag_coefficient, ring_solidity
+from macro_fem.scene import drag_coefficient, ring_solidity
 from rve import InputError
 from tests.test_macro_fem.sheets import posed, sheet
 

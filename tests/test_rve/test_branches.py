@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from rve import Cell, DirectOptions, grid, read_table, solve_table, support, with_rings, write_table
-from rve.common import WEIGHT, double_dot, dyad, mirror
-from rve.common.tensor import trace
+from rve.common import WEIGHT, double_dot, dyad, mirror, trace
 from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, deformation_gradient, second_pk
 from rve.locking import Equations, LoadedCell
 from rve.locking.relaxation import best_mixture, equal_shares

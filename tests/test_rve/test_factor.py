@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from rve.common.factor import Factorizer, linear_solver
+from rve.common import Factorizer, linear_solver
 
 METHODS = ["superlu", *(["cholmod"] if linear_solver() == "cholmod" else [])]
 

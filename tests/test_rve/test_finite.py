@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 
 from benchmarks.every_ring.cell import edge_loaded
 from rve import WEAVES, Cell, FiniteMesh, InputError
-from rve.common.factor import Factorizer
+from rve.common import Factorizer
 from rve.finite import FiniteOptions, HalfSpace, cell_of_sides
 from rve.finite.contacts import (
     MeshPose,

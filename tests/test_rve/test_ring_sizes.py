@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from macro_fem.demand import demand_options
 from rve import Cell, InputError, read_table
-from rve.common.ring_sizes import gauge_mm, radii_in, radii_of, ring_sizes
+from rve.common import gauge_mm, radii_in, radii_of, ring_sizes
 from tests.commands import run
 
 

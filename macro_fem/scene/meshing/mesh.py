@@ -128,7 +128,7 @@ def _check_edges(scene: Scene, sheet: DividedSheet) -> None:
     """InputError for an edge that the scene names and the sheet has not."""
     edges = sheet.border.edges
     for item in scene.items:
-        edge = getattr(item, "edge", item.edge_needed)
+        edge = item.on_edge
         if edge is not None and edge not in edges:
             scene.refuse(_no_edge(item, edge, sheet))
 

@@ -24,7 +24,7 @@ import click
 
 from rve.common.commands.command_line import answer, ending, options, say
 from rve.common.errors import InputError, noted_if_stopped, require
-from rve.common.files import PLUGINS, Cache, checksum, versions, write_text
+from rve.common.files import PLUGINS, Cache, JsonObject, checksum, versions, write_text
 from rve.common.plugins import load_plugin
 from rve.common.progress import tell
 from rve.common.texts import csv_text, read_json_object, recorded_reads
@@ -36,6 +36,10 @@ RETRIES = 3
 CONNECT_S = 10.0
 _WITHOUT = {3: "all is in place but a picture or report; run it alone to see why"}
 LOST = "its worker was lost, perhaps for lack of memory: the same sweep, with fewer of them, goes on"
+
+
+Row = dict[str, Any]
+"""A row of the table of a sweep."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,7 @@ class SweepItem:
     labels: tuple[tuple[str, str], ...] = ()
 
     @property
-    def question(self) -> dict[str, Any]:
+    def question(self) -> JsonObject:
         """What the answer depends on beside the files that are read."""
         return {"command": [self.package, *self.arguments], "versions": versions()}
 
@@ -196,9 +200,9 @@ sweep_options = options(
 
 
 def run_sweep(
-    items: Sequence[SweepItem], out: Path, columns: Callable[[Any], dict[str, Any]], jobs: int, cluster: str | None,
-    *, table: str = "sweep.csv", then: Callable[[list[dict[str, Any]]], Any] = lambda rows: None,
-) -> list[dict[str, Any]]:  # fmt: skip
+    items: Sequence[SweepItem], out: Path, columns: Callable[[Any], Row], jobs: int, cluster: str | None,
+    *, table: str = "sweep.csv", then: Callable[[list[Row]], Any] = lambda rows: None,
+) -> list[Row]:  # fmt: skip
     """Runs a sweep, writes its table, says how it ended and returns its rows; exit code 1 if an item failed.
 
     A row holds name, labels, exit_code, what `columns` takes from the record, and message. Options that the command of
@@ -212,7 +216,7 @@ def run_sweep(
         command = import_module(f"{item.package}.cli").main.commands[item.arguments[0]]
         command.make_context(f"{item.package} {item.arguments[0]}", list(item.arguments[1:]))
 
-    def rows_of(ended: dict[str, Ended]) -> list[dict[str, Any]]:
+    def rows_of(ended: dict[str, Ended]) -> list[Row]:
         """The rows of items that have ended, of which the table is written."""
         rows = []
         for item, how in ((item, ended[item.name]) for item in items if item.name in ended):

@@ -1,0 +1,16 @@
+from .curtain import MovingCurtain as MovingCurtain
+from .pace import COLUMNS as COLUMNS
+from .rings import MovingRings as MovingRings
+from .series import account_error as account_error
+from .solution import MotionSolution as MotionSolution
+from .stage import TONNE as TONNE
+from .stage import Contacts as Contacts
+from .stage import masses_of as masses_of
+from .stage import mesh_masses as mesh_masses
+from .stage import scene_at as scene_at
+from .step import Account as Account
+from .step import Moment as Moment
+from .step import TimeStep as TimeStep
+from .step import end_of as end_of
+from .step import kinetic_energy as kinetic_energy
+from .step import solve_step as solve_step
