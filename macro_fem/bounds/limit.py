@@ -94,13 +94,13 @@ def curtain_limit(problem: CurtainProblem) -> CurtainLimit:
     F, tau = problem.fem.gradient_change(above.z), above.tau
     if disc.n_quad == 1:
         F, tau = np.tile(F, (3, 1, 1)), np.tile(tau, 3)
-    way = float(load @ above.z)
+    way = float(load @ above.z)  # 0 where the path stopped before anything moved: no mechanism is known
     factor, lower = (1.0 - MARGIN) * above.dual / scale, (1.0 - MARGIN) * below.dual / scale_below
     return CurtainLimit(
-        factor=factor,
+        factor=max(0.0, factor),
         lower=0.0 if is_coarse else max(0.0, min(lower, factor)),
-        upper=above.primal / scale,
-        error=error_map(F / way, dual, replace(below, psi=tau / way)),
+        upper=above.primal / scale if way else np.inf,
+        error=error_map(F / (way or 1.0), dual, replace(below, psi=tau / (way or 1.0))),
         status=above.status if is_coarse or above.status != "converged" else below.status,
         is_coarse=is_coarse,
         problem=problem,
