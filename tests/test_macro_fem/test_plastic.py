@@ -258,8 +258,9 @@ def test_a_random_scene_has_an_answer_up_to_its_limit():
     assert check_random(3)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4, 60))
+@pytest.mark.parametrize(
+    "seed", [pytest.param(k, marks=pytest.mark.slow if k < 14 else pytest.mark.release) for k in range(4, 60)]
+)
 def test_random_scenes_have_an_answer_up_to_their_limit_and_none_beyond(seed):
     check_random(seed)
 
