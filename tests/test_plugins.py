@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections.abc import Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import macro_fem
 import rve
 from homogenize.laws import highest, outer_vertices
 from rve.common import load_installed, load_plugin
+from rve.common.files import PLUGINS
 from tests.commands import run
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -32,10 +34,16 @@ gather = 0.9
 
 
 @pytest.fixture(scope="module", autouse=True)
-def examples() -> None:
-    """All examples of plugins are loaded."""
+def examples() -> Iterator[None]:
+    """All examples of plugins are loaded; afterwards other tests know nothing of these and of the plugins below."""
+    known = [homogenize.Law.kinds, macro_fem.Support.kinds, macro_fem.Load.kinds, rve.MATERIALS, PLUGINS]
+    before = [dict(one) for one in known]
     for path in EXAMPLES.glob("own_*.py"):
         load_plugin(path)
+    yield
+    for one, was in zip(known, before, strict=True):
+        one.clear()
+        one.update(was)
 
 
 @pytest.fixture

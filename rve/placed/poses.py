@@ -153,6 +153,8 @@ def nearest_poses(
     status = np.where(is_met, "met", np.where(is_settled, far, "stalled"))
     out = NearestPoses(pose, rings, short, fold, cell.r1 * gap, status, len(targets)).take(back.ravel())
     rows = np.flatnonzero(flip)
+    if not len(rows):
+        return out
     out.E[rows, 1] *= -1.0
     return replace(out, pose=out.pose.put(rows, mirrored(out.pose.take(rows), cell.weave)))
 
