@@ -170,6 +170,7 @@ def _at(point: Any) -> tuple[float, float]:
 
 
 def places_of(point: Any) -> list[str]:
+    """Coordinates of a held point in mm, in words: in the flat sheet, then where it hangs."""
     return [f"{round(one)}" for one in (*point.at_mm[:2], *in_3d(tuple(point.place_mm)))]
 
 

@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, MutableMapping
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,13 @@ gather = 0.9
 @pytest.fixture(scope="module", autouse=True)
 def examples() -> Iterator[None]:
     """All examples of plugins are loaded; afterwards other tests know nothing of these and of the plugins below."""
-    known = [homogenize.Law.kinds, macro_fem.Support.kinds, macro_fem.Load.kinds, rve.MATERIALS, PLUGINS]
+    known: list[MutableMapping[Any, Any]] = [
+        homogenize.Law.kinds,
+        macro_fem.Support.kinds,
+        macro_fem.Load.kinds,
+        rve.MATERIALS,
+        PLUGINS,
+    ]
     before = [dict(one) for one in known]
     for path in EXAMPLES.glob("own_*.py"):
         load_plugin(path)

@@ -144,14 +144,7 @@ class ElasticNet(NetLaw):
     locked parts E - D S need not.
     """
 
-    def cut(self, E: Array) -> Cut:
-        """The fibre that each E (n, 3) stretches more beyond its limit."""
-        check_finite(E)
-        fibres = self.half_spaces()
-        excess = E @ (fibres.S * WEIGHT).T - fibres.h
-        worst = excess.argmax(axis=1)
-        return Cut(fibres.S[worst], fibres.h[worst], excess.max(axis=1))
-
+    cut = Law.cut
     elastic = Law.elastic
 
 

@@ -60,7 +60,7 @@ MOST_PARTS = 200_000
 
 
 @dataclass(frozen=True)
-class Drawing:
+class DrawnOutline:
     """Corners (x, y) of the `outline` and of each of the `holes`, mm; `notes`: what was mended in the file."""
 
     outline: list[tuple[float, float]]
@@ -68,7 +68,7 @@ class Drawing:
     notes: tuple[str, ...]
 
 
-def read_outline(path: Path) -> Drawing:
+def read_outline(path: Path) -> DrawnOutline:
     """The outline and holes that a DXF file draws on layers that are on.
 
     InputError without ezdxf, for no such file, a unit that is not known, curves that are not plane, do not close, cross
@@ -87,7 +87,7 @@ def read_outline(path: Path) -> Drawing:
         outline, *holes = _region(rings, size)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    return Drawing(outline, holes, tuple(f"{path.name}: {note}" for note in (*notes, *twice, *joints, *again)))
+    return DrawnOutline(outline, holes, tuple(f"{path.name}: {note}" for note in (*notes, *twice, *joints, *again)))
 
 
 def _read_curves(path: Path) -> tuple[list[Array], list[str]]:
