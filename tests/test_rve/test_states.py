@@ -70,8 +70,17 @@ def test_rings_that_overlap_and_are_not_listed_as_a_pair_have_no_answer():
         support(forgetful, [1.0, 0.0, 0.0])
 
 
-@pytest.mark.parametrize("name", WEAVES)
-@pytest.mark.parametrize("thinner", [1.03, 3.0, 16.0])
+# Eleven of the fifteen take 20 to 120 s of processor time each: flat rings that small ones join have many states.
+@pytest.mark.parametrize(
+    ("name", "thinner"),
+    [
+        pytest.param(
+            name, thinner, marks=[] if name in ("4-in-1", "6-in-1") and thinner < 16.0 else pytest.mark.release
+        )
+        for name in WEAVES
+        for thinner in (1.03, 3.0, 16.0)
+    ],
+)
 def test_weaves_list_all_pairs_of_rings_that_touch(name, thinner):
     ratio = thinner * WEAVES[name].jamming_ratio
     states = solve_table(Cell(5.0, 5.0 / ratio, name), grid(15.0, WEAVES[name]), DirectOptions(branches="first")).states

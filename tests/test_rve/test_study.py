@@ -14,6 +14,7 @@ from rve.simulation import ROUND_OFF, SimulationOptions, copies, study
 PICTURES = [f"fig_{n:02d}.png" for n in (9, 10, 11, 12, 13, 14, 15, 16, 17)]
 
 
+@pytest.mark.slow
 def test_one_command_writes_every_table_and_picture(tmp_path):
     told = []
     alpha, beta = np.array([0.0, 0.0, 20.0, 20.0, 45.0]), np.array([0.0, 45.0, 45.0, 60.0, 90.0])

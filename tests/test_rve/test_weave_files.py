@@ -208,6 +208,7 @@ def test_a_name_of_the_catalogue_is_taken(tmp_path):
         Cell(weave="5-in-1")
 
 
+@pytest.mark.slow
 def test_thirty_files_at_random_end_right_or_in_a_sentence():
     """Links, sizes, places and numbers drawn at random."""
     rng, right, sentences = np.random.default_rng(0), 0, []
