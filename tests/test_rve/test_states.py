@@ -70,6 +70,9 @@ def test_rings_that_overlap_and_are_not_listed_as_a_pair_have_no_answer():
         support(forgetful, [1.0, 0.0, 0.0])
 
 
+QUICK = ("4-in-1", "6-in-1")
+
+
 # Eleven of the fifteen take 20 to 120 s of processor time each: flat rings that small ones join have many states.
 @pytest.mark.parametrize(
     ("name", "thinner"),
