@@ -20,6 +20,7 @@ PAGES = {
     "docs/measured/steel.md": ("steel",),
     "docs/measured/scaling.md": ("scaling",),
     "docs/measured/friction.md": ("friction",),
+    "docs/measured/options.md": ("options",),
     "docs/reports/numbers.md": ("readme",),
 }
 """Sections of every page. A section is `measure` of the module of that name, in its page's folder if there is one."""

@@ -29,8 +29,6 @@ RECORD = "pictures.json"
 """The file that stands for the pictures in their folder; it lists them by their checksums (`rve.common.files`)."""
 POINTS = 121
 """Points of the locking surface along each side."""
-DECADES = 3.0
-"""The scale of gaps goes over this many powers of ten."""
 
 
 def write_pictures(law: Law, table: StrainTable, folder: str | Path, inputs: Sequence[Path] = ()) -> list[Path]:
@@ -126,4 +124,5 @@ def surface_with_gap(law: MembraneLaw, rows: LockedRows) -> tuple[Array, Array, 
     gap[is_there] = bounds_of(rows).gap(law.cut(found[is_there]).S)
     largest = float(np.nanmax(gap, initial=0.0))
     top = rounded_up(largest)
-    return found, gap, Scale("outer - inner bound of h (S of unit trace)", top * 10.0**-DECADES, top, largest, "log")
+    # The scale of gaps goes over three powers of ten.
+    return found, gap, Scale("outer - inner bound of h (S of unit trace)", 1e-3 * top, top, largest, "log")

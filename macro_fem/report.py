@@ -35,8 +35,6 @@ OF_SHEET = (
     "of the law says; friction would hold folds that are shown as free to slip."
 )
 """The first of them for a law without rings."""
-WIDE = 2.0
-"""A sheet so many times wider than high is drawn over the whole width."""
 NOISE = 1e-4
 """Components of forces below this part of the largest one are shown as 0."""
 AS_GIVEN, MOST_CASES = "as given", 5
@@ -101,7 +99,8 @@ def _first_page(solution: CurtainSolution) -> list[list[Picture]]:
     scene, half = solution.problem.scene, 0.5 * (PAGE - GAP)
     loads = f"Flat sheet with its supports and loads: {loads_in_words(scene) or 'none'}. Dimensions in mm."
     if not scene.in_space:
-        is_wide = bool(np.divide(*scene.curtain.extent(solution.problem.mesh.mesh.p.T)) > WIDE)
+        # A sheet so many times wider than high is drawn over the whole width.
+        is_wide = bool(np.divide(*scene.curtain.extent(solution.problem.mesh.mesh.p.T)) > 2.0)
         sheet = Picture(lambda width: plans.draw_sheet(solution, width, HIGH), PAGE if is_wide else half, loads)
         words = "As it hangs: largest line load, and its direction; dashed: before deformation."
         hung = Picture(lambda width: plans.draw_hung(solution, width, HIGH), half, words)

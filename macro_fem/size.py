@@ -47,9 +47,6 @@ NEAR = 20.0
 """An answer this many widths from where the curve crosses says where, well enough to try both sides of the place."""
 LARGE, LEAST_COARSE = 48, 16
 """Cells along the width from which a coarser mesh guides the search, and the fewest of that mesh."""
-CLEAR = 1.25
-"""Share by which a factor on the coarser mesh must be less than the one asked for to tell that a value does not hold.
-Larger: fewer values are told; smaller: errors of that mesh are told as values that do not hold."""
 KEPT = ".size"
 """Folder of answers inside that of the result."""
 RINGS_NOT_JUDGED = (
@@ -245,7 +242,9 @@ class Size:
         one."""
         sign, most = -1.0 if self.vary == "r2" else 1.0, self.factor_asked
         rows = [row for row in self.curve if (row.factor or 0.0) < most]
-        rows += [row for row in self.estimates if CLEAR * (row.factor or 0.0) < most]
+        # Share by which a factor on the coarser mesh must be less than the one asked for to tell that a value does
+        # not hold. Larger: fewer values are told; smaller: errors of that mesh are told as values that do not hold.
+        rows += [row for row in self.estimates if 1.25 * (row.factor or 0.0) < most]
         return [row for row in rows if self.value is not None and sign * row.value < sign * self.value]
 
     @checked

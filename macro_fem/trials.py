@@ -41,8 +41,6 @@ VARIED: dict[str, tuple[str, str, Callable[[Item], bool]]] = {
 MAY_GOVERN = 1.1
 """A combination whose factor was this many times the least one, at the nearest value where it is known, is not solved.
 Larger: more are; smaller: more of them turn out to govern at the end, and the search goes on."""
-TICK_S = 1.0
-"""How often progress is told while other processes solve."""
 LOST = "a process was lost, perhaps for lack of memory: the same command with --jobs 1 goes on from there"
 
 Who = MembraneLaw | LawInterval | OnDemand | None
@@ -228,7 +226,8 @@ class Trials:
         left = set(futures)
         while left:
             tell(*self._told(futures[next(iter(left))], len(left)))
-            done, left = wait(left, TICK_S, FIRST_COMPLETED)
+            # How often progress is told while other processes solve.
+            done, left = wait(left, 1.0, FIRST_COMPLETED)
             for future in done:
                 try:
                     yield futures[future], future.result()

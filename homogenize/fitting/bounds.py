@@ -16,9 +16,6 @@ from rve.common import Array, Index
 from rve.common.tensor import WEIGHT, disc, double_dot, eigenvalues, from_disc, trace
 from rve.geometry import CellInfo
 
-RIM = 720
-"""Loads of rank one of the inner law."""
-
 
 @dataclass(frozen=True, eq=False)
 class SupportBounds:
@@ -63,7 +60,8 @@ def inner_law(rows: LockedRows, stiffness: Array | None = None, cell: CellInfo |
     hull = ConvexHull(E, qhull_options="QJ")
     facets = hull.equations[:, :3] / WEIGHT
     facets = facets[eigenvalues(facets)[0] >= 0.0]
-    S = np.vstack([facets / trace(facets)[:, None], fibres(RIM), rim_kinks(E, hull.simplices)])
+    # Loads of rank one of the inner law.
+    S = np.vstack([facets / trace(facets)[:, None], fibres(720), rim_kinks(E, hull.simplices)])
     return polyhedral_law(S, highest(S, E), stiffness, cell)
 
 

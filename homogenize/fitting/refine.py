@@ -19,7 +19,6 @@ from homogenize.laws.rows import ROUNDING, LockedRows, with_mirror
 from rve.common import Array, Flags, Index
 from rve.common.tensor import disc, double_dot, from_disc, mirror
 
-RIM_TOLERANCE = 1e-7
 RESOLUTION, FINEST = 3e-5, 1e-7
 """Default and least resolution; the least gives a hundred thousand half-spaces and more."""
 Resolution = Annotated[float, Meta(ge=FINEST, le=1.0)]
@@ -30,9 +29,6 @@ COARSE, SHARE = 2e-3, 0.2
 """Where the bounds are farther apart than COARSE the slope turns unevenly between the rows and cubics are not used; the
 support is put this SHARE of the way from the inner to the outer bound. Largest error on the paper's grid and the 1000
 directions that the share was chosen on: 5.2e-4 with 0.2, 6.9e-4 with 0.25, 1.6e-3 without."""
-RIM_STEP_DEG = 2.5
-"""Largest angle in the disc between rim loads; with this the hull of the normals misses the rim by 2.4e-4 of the
-load."""
 
 
 def parts_of(gap: Array, resolution: float, least: int) -> Index:
@@ -56,7 +52,7 @@ class Nodes:
 
     def on_rim(self) -> Flags:
         """Loads of rank one, (k,)."""
-        return np.asarray(1.0 - np.hypot(self.x[:, 0], self.x[:, 1]) < RIM_TOLERANCE)
+        return np.asarray(1.0 - np.hypot(self.x[:, 0], self.x[:, 1]) < 1e-7)
 
     def slope(self, node: Index, way: Array, last: bool) -> Array:
         """Slope of h at nodes (m,) along load changes `way` (m, 3): the largest on leaving, the least on arriving."""
@@ -88,7 +84,9 @@ def refined_half_spaces(rows: LockedRows, resolution: float = RESOLUTION) -> tup
     x_chord, h_chord = on_chords(nodes, chords_of(triangles, nodes), bounds, resolution)
     x_centre, h_centre = in_triangles(nodes, triangles)
     x_coarse = coarse_lattice(nodes, triangles, bounds, resolution)
-    x_rim, h_rim = on_arcs(nodes, RIM_STEP_DEG)
+    # Largest angle in the disc between rim loads; with this the hull of the normals misses the rim by 2.4e-4 of the
+    # load.
+    x_rim, h_rim = on_arcs(nodes, 2.5)
     S = from_disc(np.vstack([x_chord, x_centre, x_coarse, x_rim]))
     h = np.concatenate([h_chord, h_centre, np.full(len(x_coarse), np.inf), h_rim])
     lower, upper = bounds.lower(S), bounds.upper(S)

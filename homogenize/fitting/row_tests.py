@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 NORMALITY_TOLERANCE = 1e-8
 MOST_LISTED = 10
 """Pairs of rows in a sentence."""
-MOST_ROUNDS = 100
-"""In which pairs of rows join those that are mended; 5 to 10 are usual."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +125,8 @@ def mended(rows: LockedRows) -> LockedRows:
     S, own = rows.S * root, rows.E * root
     signs = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, 1.0]])[: 1 + rows.is_mirrored]
     pairs, E = set[tuple[int, int, int]](), own
-    for _ in range(MOST_ROUNDS):
+    # In which pairs of rows join those that are mended; 5 to 10 are usual.
+    for _ in range(100):
         gap = (S * E).sum(axis=1)[:, None, None] - np.einsum("ik,mk,jk->imj", S, signs, E)
         new = {(i, m, j) for i, m, j in np.argwhere(gap < -0.01 * NORMALITY_TOLERANCE).tolist()}
         if new <= pairs:

@@ -20,14 +20,9 @@ from homogenize.laws.protocol import Response
 from rve.common import Array, Index, InputError, NotConverged
 from rve.common.tensor import WEIGHT, dyad, trace
 
-DIRECTIONS = 180
-"""Vectors v of v.(I + 2E) v >= 0, which every deformation obeys."""
 BLOCK = 64
 """Points compared with all half-spaces at a time: few enough to stay in the cache, many enough to hide Python. They
 share one buffer: fresh ones take five times as long."""
-PRODUCTS = 2**18
-"""Multiplications at a time at most: from twice as many on OpenBLAS wakes its threads, which beside another program
-took ten times as long."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +66,9 @@ class Polyhedron:
 
     def worst(self, E: Array) -> tuple[Index, Array]:
         """Most violated half-space and its excess over h at E (n, k), each (n,)."""
-        rows = min(BLOCK, max(1, PRODUCTS // self._columns.size))
+        # Multiplications at a time at most: from twice as many on OpenBLAS wakes its threads, which beside another
+        # program took ten times as long.
+        rows = min(BLOCK, max(1, 2**18 // self._columns.size))
         index, excess, space = np.empty(len(E), np.intp), np.empty(len(E)), np.empty((rows, len(self.h)))
         E = np.column_stack([E, np.ones(len(E))])
         for start in range(0, len(E), rows):
@@ -181,7 +178,8 @@ def outer_vertices(S: Array, h: Array, beyond: float = 0.0) -> Array:
     """Vertices (m, 3) of {S_i:E <= h_i, v.(I + 2E) v >= -2 beyond}: S (n, 3), h (n,)."""
     from scipy.spatial import HalfspaceIntersection, QhullError
 
-    V = fibres(DIRECTIONS)
+    # Vectors v of v.(I + 2E) v >= 0, which every deformation obeys.
+    V = fibres(180)
     normals = np.vstack([S * WEIGHT, -V * WEIGHT])
     limits = np.concatenate([h, 0.5 * trace(V) + beyond])
     inside = feasible_point(normals, limits)

@@ -20,8 +20,6 @@ from homogenize.laws.strength import Strength
 from rve.common import Array, InputError
 from rve.common.tensor import WEIGHT, double_dot
 
-LEAST_SHARE = 1e-3
-"""Eigenvalues of a compliance below this share of the largest are raised to it: no load direction is rigid."""
 FLOOR = 0.9
 """The floor's largest part of the compliance along a load. Nearer to 1: the stiffest direction is left to the floor
 alone; smaller: the stress turns faster from one half-space to the next."""
@@ -41,7 +39,8 @@ def constant_compliance(S: Array, work: Array, is_mirrored: bool) -> Array:
     A = np.zeros((3, 3))
     A[i, j] = A[j, i] = np.linalg.lstsq(terms / work[:, None], np.ones(len(work)), rcond=None)[0]
     values, vectors = np.linalg.eigh(A)
-    values = np.maximum(values, LEAST_SHARE * values.max())
+    # Eigenvalues of a compliance below this share of the largest are raised to it: no load direction is rigid.
+    values = np.maximum(values, 1e-3 * values.max())
     return np.asarray((vectors * values) @ vectors.T / WEIGHT[:, None])
 
 

@@ -34,8 +34,6 @@ from rve.common.tensor import IDENTITY, WEIGHT, disc, dyad, eigenvalues, mirror
 
 FIBRES = 180
 """Directions of strips, over half a turn. Half as many leave strips between them 1e-4 stronger than their strength."""
-KEPT = 1e3
-"""Weight of the strength along the axes of the weave against that along other fibres, where one of them must give."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +100,8 @@ def _strips(law: PolyhedralLaw, known: Strength) -> Array:
     angle = np.unique(np.round(np.append(angle, np.arctan2(rim[:, 2], rim[:, 1]) % np.pi), 9))
     d, across = np.stack([np.cos(angle), np.sin(angle)]).T, np.stack([-np.sin(angle), np.cos(angle)]).T
     kappa = np.sqrt(2.0 * law.support(dyad(d)) + 1.0) / known.collapse_at(dyad(d))
-    weight, planes = np.where(np.abs(d).min(axis=1) < 1e-8, KEPT, 1.0), np.empty_like(d)
+    # Weight of the strength along the axes of the weave against that along other fibres, where one of them must give.
+    weight, planes = np.where(np.abs(d).min(axis=1) < 1e-8, 1e3, 1.0), np.empty_like(d)
     for i in range(len(d)):
         j = np.delete(np.arange(len(d)), i)
         slope = (np.array([[1.0], [-1.0]]) / kappa[j] - d[j] @ d[i] / kappa[i]) / (d[j] @ across[i])

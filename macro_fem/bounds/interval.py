@@ -32,8 +32,6 @@ from rve.common import Array, part_of
 
 PATH_OF_BOUNDS = PathOptions(gap=2e-5, violation=5e-3, drawn=False)
 """How the dual program is solved. Larger gaps and half-spaces left out weaken the bound."""
-INWARD = 0.05
-"""How far the start is drawn from the P1 curtain, where steps get stuck, to its slack start; farther: more steps."""
 BULK = 0.6
 """Share of the gap whose triangles are refined in one go (W. Doerfler, doi 10.1137/0733054)."""
 
@@ -102,7 +100,8 @@ def bound(solution: CurtainSolution, outer: MembraneLaw | None = None) -> Curtai
     gradients = solution.F if solution.problem.disc.n_quad == 3 else np.tile(solution.F, (3, 1, 1))
     flat = linear_part(solution, outer)
     problem = flat.problem
-    dual, result = _solve(flat, INWARD)
+    # How far the start is drawn from the P1 curtain, where steps get stuck, to its slack start; farther: more steps.
+    dual, result = _solve(flat, 0.05)
     if result.stop == "infeasible":
         dual, result = _solve(flat, 1.0)
     held = dual.fem.positions(np.zeros(dual.fem.n))

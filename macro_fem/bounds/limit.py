@@ -32,8 +32,6 @@ PATH_OF_LIMITS = PathOptions(gap=1e-6, violation=1e-5, drawn=False)
 """How limits are solved. Larger gaps widen their interval."""
 MARGIN = 1e-5
 """Part by which factors are lowered: nearer to the limit shapes grow so far that they are not found."""
-CLOSED = 1e-4
-"""Relative width of the interval at which meshes are refined no more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +113,8 @@ def limit_levels(problem: CurtainProblem) -> Iterator[CurtainLimit]:
         with part_of(f"{problem.disc.n_cells} cells, limit"):
             limit = curtain_limit(problem)
         yield limit
-        if limit.upper - limit.lower <= CLOSED * limit.upper:
+        # Relative width of the interval at which meshes are refined no more.
+        if limit.upper - limit.lower <= 1e-4 * limit.upper:
             return
         if number < scene.solver.adapt:
             mesh = refine(problem.mesh, mark(limit.error))

@@ -24,8 +24,6 @@ from rve.common import Array, digits
 
 THINNEST = 0.2
 """Half the least width of a body over the longest side of a cell; thinner ones pass between the points of a mesh."""
-HELD_STRENGTH = 1e3
-"""How much stronger the mesh is around held and loaded points. Ten times more changes limits by less than 1e-3."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +199,8 @@ def strength_at_points(problem: CurtainProblem, disc: Discretization) -> Array:
     held = [problem.disc.nodes[one.nodes] for one in problem.supports.held if not len(one.facets)]
     at = np.vstack([*held, *(np.array([one.at]) for one in problem.scene.of(PointLoad)), np.zeros((0, 2))])
     distance = cKDTree(at).query(disc.cell_mean(disc.points))[0] if len(at) else np.full(disc.n_cells, np.inf)
-    return np.tile(np.where(distance < problem.disk_of_cell, HELD_STRENGTH, 1.0), disc.n_quad)
+    # How much stronger the mesh is around held and loaded points. Ten times more changes limits by less than 1e-3.
+    return np.tile(np.where(distance < problem.disk_of_cell, 1e3, 1.0), disc.n_quad)
 
 
 def gathered_start(problem: CurtainProblem) -> Array:

@@ -13,11 +13,6 @@ from macro_fem.scene.obstacles import PlacedObstacle
 from macro_fem.solvers.cones import green_strain
 from rve.common import Array
 
-SLACK = 1e-3
-"""A larger principal line load below this part of the greatest one anywhere counts as none: slack."""
-WRINKLED = 0.05
-"""A smaller principal line load below this part of the larger one beside it counts as none: drawn in one direction."""
-
 
 @dataclass(frozen=True, eq=False)
 class InnerForces:
@@ -93,5 +88,8 @@ class CurtainState(ABC):
     def state(self) -> np.ndarray:
         """Per cell 0 where it is slack, 1 where it is drawn in one direction (wrinkled), 2 where it is taut in both."""
         values, _ = self.principal()
-        is_drawn = values[:, 0] > SLACK * float(values.max(initial=0.0))
-        return is_drawn.astype(int) + (is_drawn & (values[:, 1] > WRINKLED * values[:, 0]))
+        # A larger principal line load below this part of the greatest one anywhere counts as none: slack.
+        is_drawn = values[:, 0] > 1e-3 * float(values.max(initial=0.0))
+        # A smaller principal line load below this part of the larger one beside it counts as none: drawn in one
+        # direction.
+        return is_drawn.astype(int) + (is_drawn & (values[:, 1] > 0.05 * values[:, 0]))

@@ -22,8 +22,6 @@ from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.summary import LineLoads
 from rve.common import Array, Index
 
-WIDEST = 2.5
-"""Averages reach no farther than this many radii of a disk of the same area, in corners of 60 degrees and more."""
 STEPS = np.linspace(0.0, 1.5, 7)
 """Centres of averages along the line of a force, in radii of the average at its point."""
 FINE = 0.25
@@ -90,7 +88,9 @@ class Disks:
     def reach(self) -> tuple[np.ndarray, np.ndarray]:
         """Triangles that an average at any of the `points` (k,) may take in, one point after another, and where those
         of each begin, (k,)."""
-        each = [self._around(x, WIDEST * self.radius) for x in self.points]
+        # Averages reach no farther than this many radii of a disk of the same area, in corners of 60 degrees and
+        # more.
+        each = [self._around(x, 2.5 * self.radius) for x in self.points]
         return np.concatenate(each), np.cumsum([0, *map(len, each[:-1])])
 
     def at_point(self, i: int) -> tuple[np.ndarray, Array]:

@@ -43,15 +43,11 @@ from macro_fem.solvers.walls import TOUCHED
 from rve.common import Array, NotConverged, digits
 from rve.common.files import write_mesh_file
 
-REST = 10.0
-"""mm that nodes at rest may go in a step before balls are looked at again."""
 AT_IMPACTS = (
     "whether it holds at impacts is not known: rigid rings take each in one step ({}), and forces there grow with "
     'shorter steps; kind = "elastic" under [solver] gives them'
 )
 """What the verdict of rigid rings does not know."""
-GRAZED = 0.05
-"""Depth of ways of points through a body over half its width with which a step is halved; those that meet it: 0.015."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -153,13 +149,16 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         problem, fem = self.at(now.t + h)
         step, n = step_of(problem, balls, now, before, h, self.motion.damping), problem.disc.n_nodes
         way = h * sum(float(np.linalg.norm(v, axis=1).max(initial=0.0)) for v in (now.v[:n], now.v[n:]))
-        for reach in (way + REST, np.inf):
+        # mm that nodes at rest may go in a step before balls are looked at again.
+        for reach in (way + 10.0, np.inf):
             contacts = Contacts(problem, balls, frame.problem, reach)
             result, walls = solve_step(problem, fem, step, frame.cones, contacts.tangents)
             _check(result, now.t + h)
             if max(contacts.depths(fem.positions(result.z)), default=0.0) <= TOUCHED * self.size + 1e-7 * reach:
                 break  # else points without a half-space are inside a ball
-        if contacts.passed(now.x, fem.positions(result.z)) > GRAZED:
+        # Depth of ways of points through a body over half its width with which a step is halved; those that meet it:
+        # 0.015.
+        if contacts.passed(now.x, fem.positions(result.z)) > 0.05:
             words = f"in the step to {now.t + h:.6g} s a body passes the mesh: use shorter steps"
             raise Failed("pierced", words)
         pushed, moves, touched = contacts.work(walls, result.wall_forces, now.x)

@@ -11,9 +11,6 @@ from macro_fem.scene.meshing.mesh import point_node
 from macro_fem.scene.tables import Wind, in_3d
 from rve.common import Array
 
-MOST_ARROWS = 16
-"""Forces of an edge, of all obstacles and of wind are summed up into this many arrows, a power of two."""
-
 
 def pulls(solution: CurtainState) -> tuple[Array, Array]:
     """Places (k, 3) and forces (k, 3) of supports: those at points, and those of edges summed up."""
@@ -48,7 +45,8 @@ def _summed_up(solution: CurtainState, forces: Array, *points: np.ndarray) -> tu
     x, forces = padded(solution.x), padded(forces)
     size, single = np.linalg.norm(forces, axis=1) + 1e-300, np.unique(np.concatenate([np.zeros(0, int), *points]))
     others = np.setdiff1d(np.flatnonzero(size > 1e-6 * size.max()), single)
-    groups = [*single[:, None], *halved(x, others, MOST_ARROWS)] if forces.any() else []
+    # Forces of an edge, of all obstacles and of wind are summed up into this many arrows, a power of two.
+    groups = [*single[:, None], *halved(x, others, 16)] if forces.any() else []
     at = [np.average(x[nodes], axis=0, weights=size[nodes]) for nodes in groups]
     return np.reshape(at, (-1, 3)), np.reshape([forces[nodes].sum(axis=0) for nodes in groups], (-1, 3))
 

@@ -35,12 +35,6 @@ from rve.common import Array, digits, versions
 from rve.common.factor import linear_solver
 from rve.geometry import CellInfo
 
-FLOWING = 1e-6
-"""Stretch beyond locking from which rings count as flowing: the solver leaves some 1e-8."""
-DRAWN = 0.5
-"""Stretch beyond locking with which rings count as strings: those of three-ring chains break at some 0.57."""
-TOLD = 1.01
-"""Ratio of the hull of collapse loads to the safe set from which it is told."""
 COARSE_POINTS = (
     "the interval begins at 0, as cells at held or loaded points reach beyond a disk of {:.3g} mm, one cell of the "
     "weave, and limit_factor falls with refinement there: take more cells"
@@ -116,22 +110,23 @@ def with_limit(
     cell are those of the curtain that is `rigid`, None where there is none."""
     law, beyond, notes = limit.problem.plastic_law.own, solution.stretch_beyond_locking, list[str]()
     assert isinstance(law, PlasticLaw)
-    if law.difference > TOLD:
+    # Ratio of the hull of collapse loads to the safe set from which it is told.
+    if law.difference > 1.01:
         notes.append(f"the set of line loads is safe, and up to {digits(law.difference)} times less than rows bear")
     if limit.status != "converged":
         notes.append(f"the solver of the limit ended as {limit.status}: the interval is as wide as it is known")
     most = float(beyond.max())
-    if most > DRAWN:
+    # Stretch beyond locking with which rings count as strings: those of three-ring chains break at some 0.57.
+    if most > 0.5:
         notes.append(f"{digits(100.0 * most)} % beyond locking rings are strings, of which the law knows nothing")
     is_loaded, points = np.isfinite(limit.factor), None if rigid is None else collapse_at_points(rigid)
+    # Stretch beyond locking from which rings count as flowing: the solver leaves some 1e-8.
     parts = Limit(
         limit_factor=limit.factor if is_loaded else None,
         limit_interval=[limit.lower, limit.upper] if is_loaded else None,
         limit_of_points=points,
         limit_note="; ".join(notes) or None,
-        plastic_area_share=float(
-            solution.problem.disc.weight @ (beyond > FLOWING) / solution.problem.disc.weight.sum()
-        ),
+        plastic_area_share=float(solution.problem.disc.weight @ (beyond > 1e-6) / solution.problem.disc.weight.sum()),
         largest_plastic_strain=most,
         largest_plastic_strain_at_mm=solution.problem.disc.points[beyond.argmax()].tolist(),
     )

@@ -24,8 +24,6 @@ from rve.common.texts import digits
 
 AXES = [2, 0, 1]
 """Our axes z, x, y as x, y, z of plotly, whose third axis points up."""
-OVER_STRIP = 0.03
-"""Length of the strip of the colour above the scale, over that of the scale."""
 RIGHT = 0.92
 """Share of the page's width at which the scene ends; bars of colours stand left of it."""
 LAYOUT: JsonObject = {"margin": {"l": 0, "r": 0, "b": 0, "t": 70}, "font": {"family": "sans-serif"}}
@@ -113,7 +111,8 @@ def _colours(values: Any, scale: Scale, of_lines: bool) -> JsonObject:
     """Values on a scale with its bar."""
     to_shown = np.log10 if scale.spread == "log" else np.asarray
     shown, (low, top) = to_shown(np.maximum(values, scale.low)), to_shown([scale.low, scale.top]).tolist()
-    share = 1.0 + (OVER_STRIP if scale.is_exceeded else 0.0)
+    # Length of the strip of the colour above the scale, over that of the scale.
+    share = 1.0 + (0.03 if scale.is_exceeded else 0.0)
     places = np.linspace(0.0, 1.0, 101)
     tones = [f"rgb({','.join(map(str, tone[:3]))})" for tone in scale.colour_map()(share * places, bytes=True)]
     colours = [*zip(places.tolist(), tones, strict=True)]

@@ -17,8 +17,6 @@ Draw = Callable[[Plotter], Plotter]
 """Draws into the active panel of a plotter, which it returns."""
 WIDTH, DPI = 6.3, 250
 """Of a picture, inches: 160 mm, at which its letters have 9 points or more; and pixels of an inch."""
-NAME = 3.0
-"""Room of a name in a legend, inches."""
 FRAME_MS, LAST_MS = 120, 1500
 """How long a frame of an animation is shown, and its last one."""
 
@@ -51,7 +49,8 @@ def compose(
     shown = {name: part for panel in range(panels) for name, part in parts(plotter, panel).items()}
     plain = {name: one for name, (*one, scale) in shown.items() if scale is None and name not in UNLISTED}
     scales = {scale for *_, scale in shown.values() if scale is not None}
-    named = max(int(width / NAME), 1)
+    # Room of a name in a legend, inches.
+    named = max(int(width / 3.0), 1)
     room = 0.6 * len(scales) + 0.2 * -(-len(plain) // named) + 0.25 * rows * bool(captions)
     room += 0.2 * title.count("\n") + (0.3 if title else 0.1)
     figure = Figure(figsize=(width, rows * width / columns * shape + room), dpi=DPI)

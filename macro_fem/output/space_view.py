@@ -22,11 +22,7 @@ from rve.common.optional import Plotter, PolyData
 
 HELD, TRACK = "#1f4e79", "#4a4f57"
 GROUND, SHADOW = "#ebedf0", "#cdd2d8"
-LEAST_FOR_PERSON = 2000.0
-"""Scenes of this size in mm and larger are shown beside a person, smaller ones beside a ruler alone."""
 PERSON_MM = 1750.0
-SHARP = 35.0
-"""Cells that meet at more degrees are drawn with the fold between them, others as one smooth surface."""
 LIGHT = np.array([0.12, -1.0, -0.25])
 """Direction of the light that throws the shadow: from the left, above and the front."""
 LONGEST, LEAST_ARROW, ROUNDED = 0.16, 0.04, 1e-6
@@ -97,7 +93,8 @@ def draw_curtain(
     placed, curtain = solution.obstacles, sheet(solution, frame.scale)
     floors = [one.obstacle.height + one.shift[1] for one in placed if isinstance(one.obstacle, Floor)]
     ground = float(max(floors, default=frame.lowest))
-    space.add(plotter, "curtain", curtain, frame.scale, split_sharp_edges=True, feature_angle=SHARP)
+    # Cells that meet at more degrees are drawn with the fold between them, others as one smooth surface.
+    space.add(plotter, "curtain", curtain, frame.scale, split_sharp_edges=True, feature_angle=35.0)
     add_supports(plotter, solution, frame.size)
     for one in placed:
         mesh, item = obstacle_mesh(one, frame, ground), one.obstacle
@@ -198,7 +195,8 @@ def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: PictureFrame, 
     shadow.points[:, 1] = ground
     box, size = frame.room, frame.size
     foot = np.array([box[0, 0], ground, box[1, 2] + 0.05 * size])
-    is_large = float((box[1] - box[0]).max()) >= LEAST_FOR_PERSON
+    # Scenes of this size in mm and larger are shown beside a person, smaller ones beside a ruler alone.
+    is_large = float((box[1] - box[0]).max()) >= 2000.0
     if is_large:
         up = PERSON_MM * np.array([0.0, 1.0, 0.0])
         feet, radius, length = foot - [0.3 * PERSON_MM, 0.0, 0.0], 0.08 * PERSON_MM, 0.68 * PERSON_MM

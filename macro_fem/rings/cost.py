@@ -19,14 +19,9 @@ from rve.common import digits
 from rve.common.factor import linear_solver
 from rve.geometry import CellInfo
 
-RINGS_PER_CELL = 2
 GROWTH = {"superlu": (2.2e-5, 35.0, 2.1), "cholmod": (6.5e-6, 30.0, 1.75)}
 """By library for factors: GB over n log2(n) rings, a fifth above the largest measured; processor seconds of 1,000 rings
 in space, and the power of n with which they grow."""
-IN_PLANE = 0.2
-"""Time with centres in the plane over that in space."""
-REST_GB = 0.1
-"""Of the program itself."""
 UNITS = ((86_400.0, "days"), (3_600.0, "hours"), (60.0, "minutes"), (1.0, "s"))
 
 
@@ -51,7 +46,7 @@ def ring_cost(scene: Scene, info: CellInfo, *, space: bool = True) -> RingCost:
     if isinstance(curtain, MeshFile):
         scene.refuse('[curtain] shape = "file": has no outline of its own, use shape = "outline"')
     sheet = shapely.Polygon(curtain.corners(scene.mesh.cells), [np.array(hole) for hole in curtain.holes])
-    count = max(2, round(RINGS_PER_CELL * sheet.area / (info.b_x_mm * info.b_y_mm)))
+    count = max(2, round(2 * sheet.area / (info.b_x_mm * info.b_y_mm)))
     memory, there = memory_GB(count), machine_GB()
     if memory > there:
         most = max((n for n in np.geomspace(10, count, 200) if memory_GB(n) < there), default=10)
@@ -59,12 +54,14 @@ def ring_cost(scene: Scene, info: CellInfo, *, space: bool = True) -> RingCost:
             f"[curtain]: {count:,} rings need some {digits(memory)} GB of memory, where there are {digits(there)} GB; "
             f"make it smaller, of some {digits(most, 2)} rings, or take macro_fem run and then macro_fem localize"
         )
-    return RingCost(count, memory, at_1000 * (1e-3 * count) ** power * (1.0 if space else IN_PLANE))
+    # Time with centres in the plane over that in space.
+    return RingCost(count, memory, at_1000 * (1e-3 * count) ** power * (1.0 if space else 0.2))
 
 
 def memory_GB(count: float) -> float:
     """The memory in GB that so many rings take."""
-    return REST_GB + GROWTH[linear_solver()][0] * count * log2(count)
+    # The first is the program itself.
+    return 0.1 + GROWTH[linear_solver()][0] * count * log2(count)
 
 
 def machine_GB() -> float:

@@ -31,12 +31,8 @@ from rve.common.materials import material_of
 from rve.finite import FiniteOptions, FiniteSolution, HalfSpace
 from rve.geometry import CellInfo
 
-SLIDES = 1e-6
-"""Part of the loads up to which the force of a pin counts as none: walls push a little where nothing touches."""
 WHOLE, NEARLY_WHOLE = 1e-7, 0.02
 """A side of a rectangle within these parts of a cell of whole cells is left as it is, or made whole with a note."""
-EQUALLY_FAR = 1e-6
-"""Part of r1 by which distances of rings from a node may differ that count as one."""
 OF_DISK = ("kind", "tolerance", "max_iterations", "bounds", "adapt")
 """Keys of [solver] that rings do not read."""
 
@@ -85,7 +81,8 @@ class RingScene:
             )
         except InputError as error:
             raise InputError(f"{scene.source}: {error}") from error
-        noise = SLIDES * float(np.abs(self.force).sum()) if found.status == "converged" else np.inf
+        # Part of the loads up to which the force of a pin counts as none: walls push a little where nothing touches.
+        noise = 1e-6 * float(np.abs(self.force).sum()) if found.status == "converged" else np.inf
         forces = check_pins(pins, found.reaction, noise, scene, "obstacle")
         reaction = found.reaction.copy()
         reaction[pins.nodes] -= forces[:, None] * pins.direction  # pins carry no force
@@ -159,7 +156,8 @@ def _nearest_rings(mesh: FiniteMesh, nodes: Array) -> tuple[Index, csr_matrix]:
     """The ring nearest to each node, (k,), and what nodes hand over to rings, (n, k): the two nearest share alike where
     they are equally far, so that symmetric scenes have symmetric rings."""
     distance, ring = cKDTree(mesh.X).query(nodes, k=2)
-    other = 0.5 * (distance[:, 1] - distance[:, 0] < EQUALLY_FAR * mesh.cell.r1)
+    # Part of r1 by which distances of rings from a node may differ that count as one.
+    other = 0.5 * (distance[:, 1] - distance[:, 0] < 1e-6 * mesh.cell.r1)
     shares, node = np.column_stack([1.0 - other, other]), np.repeat(np.arange(len(nodes)), 2)
     return ring[:, 0], csr_matrix((shares.ravel(), (ring.ravel(), node)), shape=(len(mesh.X), len(nodes)))
 

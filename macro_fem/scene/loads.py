@@ -40,8 +40,6 @@ SOLID = 4.0 / 3.0
 """C_D of a plate without holes."""
 BREEZE = 1.0
 """m/s, the speed of `breeze`; forces of moving nodes are this one's, scaled."""
-HALVINGS = 60
-"""Halvings of the interval of u, after which it is known to rounding."""
 
 
 def areal_mass(scene: Scene, cell: CellInfo | None) -> float:
@@ -220,7 +218,8 @@ def drag_coefficient(solidity: Array | float) -> Array:
     """C_D (...) of free-standing screens, per total area, from 0 (nothing there) to 4/3 (solid): see the header."""
     open_2 = np.clip(1.0 - np.asarray(solidity), 0.0, 1.0) ** 2
     low, high = np.zeros_like(open_2), np.ones_like(open_2)
-    for _ in range(HALVINGS):
+    # Halvings of the interval of u, after which it is known to rounding.
+    for _ in range(60):
         u = 0.5 * (low + high)
         # both formulas of C_D are equal where C_D + 4/3 (1 - u)^3/(2 - u)^2, here times (2 - u)^2, is k u^2
         is_left = open_2 * SOLID * (1.0 - u) * (5.0 - 2.0 * u) > (1.0 - open_2) * (u * (2.0 - u)) ** 2

@@ -14,11 +14,6 @@ from macro_fem.scene import tables
 from macro_fem.scene.tables import NO_MOVE, Timed, Vector, Way, check_directions, in_3d, leaves_plane
 from rve.common import Array, Typed
 
-HALVINGS = 40
-"""Steps of the search for the least distance along a way; each leaves two thirds of the bracket."""
-RIGHT_ANGLE = 1e-3
-"""Largest cosine of the angle between the two axes along which a sheet starts."""
-
 
 def unit(v: Vector | Array) -> Array:
     """The unit vector (3,) along a vector of two or three components, whatever its size.
@@ -213,7 +208,8 @@ class Start(Typed):
 
     def check(self) -> None:
         check_directions(self, x_axis=self.x_axis, y_axis=self.y_axis)
-        if abs(float(unit(self.x_axis) @ unit(self.y_axis))) > RIGHT_ANGLE:
+        # Largest cosine of the angle between the two axes along which a sheet starts.
+        if abs(float(unit(self.x_axis) @ unit(self.y_axis))) > 1e-3:
             self.refuse(f"y_axis = {list(self.y_axis)}: is not at a right angle to x_axis")
 
     @property
@@ -261,7 +257,8 @@ class PlacedObstacle:
         The distance from a convex body is convex along a line, which brackets it.
         """
         low, high = np.zeros(len(start)), np.ones(len(start))
-        for _ in range(HALVINGS):
+        # Steps of the search for the least distance along a way; each leaves two thirds of the bracket.
+        for _ in range(40):
             third = (high - low) / 3.0
             first, second = (self.gap(start + at[:, None] * (end - start)) for at in (low + third, high - third))
             low, high = np.where(first > second, low + third, low), np.where(first > second, high, high - third)

@@ -23,10 +23,6 @@ from rve.common.records import Index
 NONE = np.zeros(0, np.int64)
 PARALLEL = 1e-9
 """Unit vectors that differ by less than this are one direction."""
-DRAWN = 200
-"""Points of a track in pictures."""
-AGREES = 0.01
-"""A fullness that is given besides a track of known length may differ from theirs by this part of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -398,7 +394,8 @@ class Track(Hanging, kind="track"):
         curve, length, s = self.curve(edge, self.where), edge.arc[-1], edge.arc
         if self.has_hooks:
             s = np.linspace(0.0, length, len(nodes))
-        places, drawn = self.on_track(curve, s, length), curve.at(np.linspace(0.0, curve.length, DRAWN))
+        # Points of a track in pictures.
+        places, drawn = self.on_track(curve, s, length), curve.at(np.linspace(0.0, curve.length, 200))
         return Held("track", nodes if self.has_hooks else edge.nodes, np.ones(places.shape, bool), places, track=drawn)
 
     def on_track(self, curve: Curve, s: Array, edge_length: float) -> Array:
@@ -435,7 +432,8 @@ class Track(Hanging, kind="track"):
                     f"for, is longer than the whole circle of {2.0 * math.pi * radius:g} mm; use a larger one of both"
                 )
             curve = Curve(radius * abs(angle), height, None, radius, angle, middle)
-        if abs(wanted / curve.length - 1.0) > AGREES:
+        # A fullness that is given besides a track of known length may differ from theirs by this part of it.
+        if abs(wanted / curve.length - 1.0) > 0.01:
             raise InputError(
                 f"{where} fullness = {self.fullness:g}: contradicts a track of {curve.length:g} mm and a top edge of "
                 f"{edge_length:g} mm, which make {edge_length / curve.length:.4g}; give one of them less"

@@ -15,13 +15,12 @@ ROUNDING = 1e-6
 """Errors this much above what was asked are accepted once rounding stops a solver; the message gives them."""
 AT_LIMIT = 1e-4
 """Relative stretch within which supports count as being at the mesh's largest stretch: `Reach`."""
-NO_LOAD = 1e-6
-"""N/mm2: what unbalanced forces are compared with in a curtain without load."""
 
 
 def load_scale(force: Array, weight: Array) -> float:
     """What forces are compared with, N: the sum of the loads `force`, or a small part of the areas `weight`."""
-    return float(np.abs(force).sum()) or float(weight.sum()) * NO_LOAD
+    # N/mm2: what unbalanced forces are compared with in a curtain without load.
+    return float(np.abs(force).sum()) or float(weight.sum()) * 1e-6
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,6 @@ from scipy.sparse.linalg import splu
 
 from rve.common.records import Array, Index
 
-METIS_FROM = 300_000
-"""Unknowns from which CHOLMOD orders by METIS, which takes longer to find and fills in less."""
-
 Solve = Callable[[Array], Array]
 """x (n, ...) of b (n, ...)."""
 
@@ -47,7 +44,8 @@ class Factorizer:
 
         pattern = matrix.indptr, matrix.indices
         if self._pattern is None or not all(map(np.array_equal, self._pattern, pattern)):
-            ordering = "metis" if matrix.shape[0] >= METIS_FROM else "amd"
+            # Unknowns from which CHOLMOD orders by METIS, which takes longer to find and fills in less.
+            ordering = "metis" if matrix.shape[0] >= 300_000 else "amd"
             self._order = cholmod.analyze(matrix, mode="supernodal", ordering_method=ordering)
             self._pattern = matrix.indptr.copy(), matrix.indices.copy()
         try:

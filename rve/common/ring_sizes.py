@@ -28,8 +28,6 @@ RING_SIZES: dict[str, tuple[float, float]] = {
 """Shares of r1 and r2 in each size that a user may give."""
 DEFAULT_RING = {"r1": 5.0, "r2": 0.5}
 """The ring of the paper, in mm."""
-SAME_SIZE = 1e-3
-"""Relative difference up to which a third size agrees with two: printed ones are rounded, as 1.29 mm of 16 AWG."""
 SWG_MIL = [
     *(500, 464, 432, 400, 372, 348, 324, 300, 276, 252, 232, 212, 192, 176, 160, 144, 128, 116, 104, 92, 80, 72, 64),
     *(56, 48, 40, 36, 32, 28, 24, 22, 20, 18, 16.4, 14.8, 13.6, 12.4, 11.6, 10.8, 10, 9.2, 8.4, 7.6, 6.8, 6, 5.2),
@@ -82,7 +80,9 @@ def radii_of(
     if not 0.0 < r2 < r1:
         raise InputError(f"{said}: makes no ring; its r1 would be {r1:.4g} mm, its r2 {r2:.4g} mm")
     for third, (a, b, x) in rows.items():
-        if abs(a * r1 + b * r2 - x) > SAME_SIZE * (x or r1):
+        # Relative difference up to which a third size agrees with two: printed ones are rounded, as 1.29 mm of 16
+        # AWG.
+        if abs(a * r1 + b * r2 - x) > 1e-3 * (x or r1):
             raise InputError(f"{third}: contradicts {said}, which is {ring_words(r1, r2)}; give two sizes")
     return r1, r2
 

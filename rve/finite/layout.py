@@ -25,7 +25,6 @@ from rve.placed.fit import axes_of_weave, neighbours, reference_shares
 from rve.solve import reference_sides
 
 MOST_RINGS = 1_000_000
-_SAMPLES = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +179,7 @@ def _sites(cell: Cell, border: Array, region: shapely.Polygon, sides: Array, axe
 
 def _areas(X: Array, region: shapely.Polygon, brick: Array, axes: Array) -> Array:
     """Reference area (n,) in mm2 of each ring; their sum is the area inside the outline."""
-    t = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
+    t = (np.arange(8) + 0.5) / 8 - 0.5
     offsets = np.stack(np.meshgrid(t, t), axis=-1).reshape(-1, 2) * brick @ axes.T
     share = sum(shapely.contains_xy(region, X + offset) / len(offsets) for offset in offsets)
     share = np.maximum(share, 1.0 / len(offsets))

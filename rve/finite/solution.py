@@ -17,8 +17,6 @@ from rve.finite.newton import gradients, spread
 from rve.finite.problem import Obstacle, Problem, RoundBody, ScaledProblem
 from rve.placed.drawn import DrawnRings
 
-_SEEN = 1e-3
-"""Forces of supports below this part of the largest one are not drawn."""
 SENTENCES = {
     "converged": "a local minimum of the potential: forces balance, gaps and links are within tolerance",
     "out-of-reach": "held rings or walls did not reach their places: the mesh locks before; move them closer together",
@@ -189,7 +187,8 @@ class FiniteSolution:
     def _pulling(self) -> NDArray[np.intp]:
         """The rings (k,) that supports hold with a force worth drawing."""
         force = np.linalg.norm(np.nan_to_num(self.reaction), axis=1)
-        return np.flatnonzero(force > _SEEN * force.max(initial=0.0))
+        # Forces of supports below this part of the largest one are not drawn.
+        return np.flatnonzero(force > 1e-3 * force.max(initial=0.0))
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Every ring in the plane x, y, coloured by its largest contact force, on `ax` or axes of their own."""

@@ -21,10 +21,6 @@ CellCount = Annotated[int, Meta(ge=1, le=4)]
 """Primitive cells on a side of a larger one: 4 x 4 of them have 160 coordinates."""
 
 
-SAME_RINGS = 1e-6
-"""Relative difference of radii and reference cells that are count as the same."""
-
-
 class OfMaterial(float):
     """A density, kg/mm3, that is its material's: where `dataclasses.replace` names another material, it gives way."""
 
@@ -210,7 +206,8 @@ class CellInfo(Typed):
     def check_same(self, other: CellInfo, where: str, name: str) -> None:
         """InputError if `other` are rings of another weave or shape, of any size; `where` names them, `name` these."""
         shapes = [np.array([one.r2_mm, *one.sides_mm]) / one.r1_mm for one in (other, self)]
-        if np.abs(np.subtract(*shapes)).max() <= SAME_RINGS:
+        # Relative difference of radii and reference cells that are count as the same.
+        if np.abs(np.subtract(*shapes)).max() <= 1e-6:
             return
         if other.weave and self.weave and (other.weave, other.grain) != (self.weave, self.grain):
             weaves = [f"the weave {one.weave} with grain {one.grain}" for one in (other, self)]

@@ -11,7 +11,6 @@ from rve.geometry.pose import Pose, moved, pair_maps, reduction, start_pose
 
 LARGEST_STEP, LEAST_STEP = 0.05, 1e-11
 """Of a coordinate in r1 or radians: the first step, and the one below which the pose has settled."""
-MOST_STEPS = 600
 Ring = tuple[int, int, int]
 Link = tuple[int, int, int, int]
 
@@ -38,7 +37,7 @@ def loosen(pattern: Pattern, modes: Array | None = None) -> tuple[Pose, float]:
         return minima.distance / part, G @ ways / part[:, None], clearance, bool(contacts.links_intact[0])
 
     room, G, best, _ = measure(pose)
-    for _ in range(MOST_STEPS):
+    for _ in range(600):
         size = min(radius, 0.5 * best)
         rows, bounds = np.column_stack([-G, np.ones(len(G))]), [(-1.0, 1.0)] * count + [(0.0, None)]
         # In units of the step, since a linear program is solved to an absolute error.

@@ -19,8 +19,6 @@ from rve.geometry.ring_pair import tangent_frame
 
 ALONG, AROUND = 24, 8
 """Points along and around the wire of a ring in files: lines of 100,000 rings stay below 60 MB."""
-LEAST = 3e-3
-"""The scale of contact forces begins at this part of its top end."""
 MOST_FINE, MOST_TUBES, MOST_POINTS = 200, 1000, 300_000
 """Of a view these numbers of rings are fine tori, and coarse ones; more are lines with this many points together."""
 NO_FORCE, METAL = "#808890", "#c9ced6"
@@ -179,4 +177,5 @@ def force_scale(rings: Sequence[DrawnRings]) -> Scale:
     force = np.concatenate([part.force for part in rings if part.force is not None])
     largest = float(force.max(initial=0.0))
     top = round_top(max(float(np.quantile(force, 0.998)), 1e-12), largest)
-    return Scale("largest contact force on the ring, N", LEAST * top, top, largest, "log")
+    # The scale of contact forces begins at this part of its top end.
+    return Scale("largest contact force on the ring, N", 3e-3 * top, top, largest, "log")

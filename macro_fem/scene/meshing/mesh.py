@@ -34,8 +34,6 @@ MAX_LATTICE = 8_000_000
 TIES = 1e-6
 """By how much of their distance from the middle points of square cells move before Delaunay's rule, which leaves their
 diagonals open: mirror images get one answer, on every processor."""
-CLEARANCE = 0.55
-"""Least distance of a lattice point to the boundary in units of the spacing: keeps boundary triangles from slivers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +285,9 @@ def mesh_outline(
     sides = region.boundary
     shapely.prepare([region, sides])
     inner = inner[shapely.contains_xy(region, inner)]
-    inner = inner[~shapely.dwithin(sides, shapely.points(inner), CLEARANCE * spacing)]
+    # Least distance of a lattice point to the boundary in units of the spacing: keeps boundary triangles from
+    # slivers.
+    inner = inner[~shapely.dwithin(sides, shapely.points(inner), 0.55 * spacing)]
     points = np.concatenate([*border, inner])
     tied = TIES * points * ((points / np.abs(points).max()) ** 2 @ [[1.0], [2.0]]) if aspect == 1.0 else 0.0
     triangles = Delaunay(points + tied).simplices

@@ -36,8 +36,6 @@ UNREAD = ("REGION", "MLINE", "TRACE", "MPOLYGON", "MESH", "BODY", "3DSOLID", "HE
 DEPARTURE = 1e-4
 """Departure of chords from round curves over the size of the drawing. Larger: fewer corners. Curves up to twice
 as far apart are one that is drawn twice."""
-OWN_DEPARTURE = 5e-3
-"""Departure of chords from a round curve over its own size, so that small holes stay round: 22 corners of a circle."""
 JOINT = 1e-5
 """Ends of curves as far apart over the size of the drawing are joined: rounding of three decimals on 100 mm. Larger:
 gaps that are faults of the drawing are closed as well."""
@@ -51,8 +49,6 @@ CAUSES = {
     "Interior is disconnected": "holes cut the sheet in parts: keep one",
 }
 """What shapely finds wrong with an outline and its holes, in words of a drawing."""
-BEZIERS = 4
-"""Cubic pieces of an arc in a polyline, 4e-6 of its radius off a half circle. Each has a corner or more."""
 DAMAGE = (ArithmeticError, AttributeError, LookupError, OSError, RuntimeError, StopIteration, TypeError, ValueError)
 """What damaged data lead to in ezdxf besides its own errors."""
 MOST_PARTS = 200_000
@@ -187,7 +183,9 @@ def _points(entity: Any, chord: float) -> Array:
         if not (entity.is_2d_polyline or entity.is_3d_polyline):
             raise InputError("POLYLINE: a mesh is not read as a curve; explode it or turn its layer off")
         entity.vertices[:] = [one for one in entity.vertices if not one.dxf.flags & 16]
-    parts = to_bsplines_and_vertices(make_path(entity, segments=3 * BEZIERS))  # a third of these for an arc
+    # Four cubic pieces (a third of the segments) of an arc in a polyline are 4e-6 of its radius off a half circle. Each
+    # has a corner or more.
+    parts = to_bsplines_and_vertices(make_path(entity, segments=12))
     points = [np.array(one, dtype=float) if isinstance(one, list) else _chords(one, chord) for one in parts]
     return np.vstack([np.zeros((0, 3)), *points])
 
@@ -214,7 +212,9 @@ def _chords(curve: Any, chord: float) -> Array:
         length = np.maximum(np.linalg.norm(side, axis=2, keepdims=True), 1e-150)
         off = inner - points[:-1, None]
         off -= (off * side).sum(axis=2, keepdims=True) * side / length**2
-        allowed = max(min(chord, OWN_DEPARTURE * np.ptp(points, axis=0).max()), 1e-12 * np.abs(points).max())
+        # Departure of chords from a round curve over its own size, so that small holes stay round: 22 corners of a
+        # circle.
+        allowed = max(min(chord, 5e-3 * np.ptp(points, axis=0).max()), 1e-12 * np.abs(points).max())
         worst = np.maximum.reduceat(np.linalg.norm(off, axis=2).max(axis=1), np.cumsum(counts) - counts)
         if chord == math.inf or not worst.max() > allowed:
             break

@@ -23,8 +23,6 @@ the least sine in a cell, and by how much a sheet may leave its plane, over its 
 NEAR = 1e-3
 """A node closer to a side than this part of a cell's height, and not joined with it, is refused. Larger: slits that are
 meant are refused. Smaller: a seam that is not joined is taken for a slit."""
-BENT = 1e-4
-"""A side of a second-order cell is straight if its middle node is no farther off, over its length."""
 CORNERS = {"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4}
 """Corners of the cells of a sheet, by meshio's name of their type."""
 
@@ -111,7 +109,8 @@ def _check_straight(corners: Array, middles: Array) -> None:
     square = np.maximum((side**2).sum(axis=2, keepdims=True), 1e-300)
     along = np.clip((away * side).sum(axis=2, keepdims=True) / square, 0.0, 1.0)
     off = np.sqrt(((away - along * side) ** 2 / square).sum(axis=2))
-    if off.max() > BENT:
+    # A side of a second-order cell is straight if its middle node is no farther off, over its length.
+    if off.max() > 1e-4:
         x, y = middles.reshape(-1, 2)[off.argmax()]
         raise InputError(
             f"the side of a second-order cell is bent at ({x:g}, {y:g}), by {off.max():.3g} of its length: save "

@@ -31,8 +31,6 @@ from rve.common.texts import csv_text, read_json_object, recorded_reads
 
 MARKS = ".sweep"
 """Folder of what is known of finished items, inside that of the sweep."""
-RETRIES = 3
-"""How often an item is begun again whose worker on a cluster was lost."""
 CONNECT_S = 10.0
 _WITHOUT = {3: "all is in place but a picture or report; run it alone to see why"}
 LOST = "its worker was lost, perhaps for lack of memory: the same sweep, with fewer of them, goes on"
@@ -143,7 +141,8 @@ def _cluster(address: str) -> Iterator[Executor]:
     except (OSError, ValueError) as error:
         raise InputError(f"--cluster = {address}: no Dask scheduler answers there: {error}") from error
     with client:
-        yield client.get_executor(pure=False, retries=RETRIES)
+        # How often an item is begun again whose worker on a cluster was lost.
+        yield client.get_executor(pure=False, retries=3)
 
 
 @contextmanager

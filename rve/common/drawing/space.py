@@ -19,14 +19,9 @@ from rve.common.records import Array
 
 PANEL = (1400, 1240)
 """Pixels of a panel before matplotlib makes it smaller, which smooths edges."""
-WIDEST = 8400
-"""Pixels of all panels side by side at most, which what draws without a screen can hold."""
 FRONT, THREE_QUARTERS = (0.0, -0.12, -1.0), (-0.75, -0.45, -1.0)
-MARGIN = 1.04
 UNLISTED = ("_shadow", "_ground", "_ruler", "_length")
 """Parts without a line in the legend."""
-IN_FRONT = -40000.0
-"""Shift of the depth of what is seen through all else, in the unit of VTK: half of the whole range and more."""
 BODY, BODY_OPACITY = "#c9b18f", 0.75
 """Colour of bodies that a mesh meets, and how much they hide."""
 MEASURE = "#8d96a1"
@@ -42,7 +37,8 @@ def new_plotter(panels: int = 1) -> Plotter:
     import pyvista
 
     pyvista.vtk_verbosity("off")  # else VTK says on standard error that there is no screen
-    less = min(1.0, WIDEST / (panels * PANEL[0]))
+    # Pixels of all panels side by side at most, which what draws without a screen can hold.
+    less = min(1.0, 8400 / (panels * PANEL[0]))
     size, shape = [panels * int(less * PANEL[0]), int(less * PANEL[1])], (1, panels)
     plotter = pyvista.Plotter(off_screen=True, shape=shape, border=False, window_size=size, lighting="light kit")
     plotter.set_background("white")  # type: ignore[arg-type]
@@ -80,7 +76,9 @@ def add(plotter: Plotter, name: str, mesh: PolyData, colour: str | Scale, **styl
         actor = plotter.add_mesh(mesh, color=colour, **style)
         if is_in_front:
             actor.mapper.SetResolveCoincidentTopologyToPolygonOffset()
-            actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, IN_FRONT)
+            # Shift of the depth of what is seen through all else, in the unit of VTK: half of the whole range and
+            # more.
+            actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, -40000.0)
         return
     style |= {"above_color": OVER} if colour.is_exceeded else {}
     style |= {"scalars": colour.label, "clim": (colour.low, colour.top), "log_scale": colour.spread == "log"}
@@ -171,7 +169,7 @@ def look(plotter: Plotter, direction: Any, up: Any = (0.0, 1.0, 0.0), box: Array
     camera.position = (middle - [0.0, 0.0, 10.0 * np.linalg.norm(half)]) @ axes
     camera.up = axes[1]
     camera.parallel_projection = True
-    camera.parallel_scale = MARGIN * max(half[1], half[0] * PANEL[1] / PANEL[0], 1e-9)
+    camera.parallel_scale = 1.04 * max(half[1], half[0] * PANEL[1] / PANEL[0], 1e-9)
     plotter.renderer.camera_set = True
     plotter.renderer.reset_camera_clipping_range()
     near, far = camera.clipping_range
