@@ -14,6 +14,8 @@ import homogenize
 import macro_fem
 import rve
 from homogenize.laws import highest, outer_vertices
+from macro_fem.output import loads_in_words
+from macro_fem.output.plans import draw_sheet
 from rve.common import load_installed, load_plugin
 from rve.common.files import PLUGINS
 from tests.commands import run
@@ -139,6 +141,9 @@ def test_an_own_load_is_integrated_and_scaled(folder: Path) -> None:
         -1.5 * answer.summary.total_load_N[1], rel=1e-6
     )
     assert answer.summary.ring_material == "wire of my mill"
+    assert loads_in_words(answer.scene) == "dirt (pressure = 40.0, height = 200.0)"
+    texts = [one.get_text() for one in draw_sheet(answer.solution, 160.0, 160.0).axes[0].texts]
+    assert f"dirt {hung:.4g} N" in texts
 
 
 def test_the_command_that_is_told_next_has_the_plugins(tmp_path: Path) -> None:
@@ -155,6 +160,7 @@ def test_a_load_of_the_table_is_still_made_by_its_name() -> None:
 
 BAD = {
     "raises.py": ("1 / 0", "ZeroDivisionError: division by zero"),
+    "line.py": ("\n\npressure", "line.py, line 3: NameError: name 'pressure' is not defined"),
     "clash.py": (
         "import macro_fem\n\nclass Mine(macro_fem.Support, kind='hooks'): ...",
         "kind = 'hooks' of Mine: is that of Hooks; choose another word",
@@ -221,6 +227,12 @@ MISTAKES = [
     (SET, "HalfSpaces([[1.0, 0.0, 0.0]], [0.1])", "law 'tape': half_spaces: leave the strain open in one direction"),
     ("    limit: float", "    limit: float\n    compliance = 0.1", "law 'tape': compliance = 0.1: is no (3, 3)"),
     ("        return HalfSpaces", "        1 / 0\n        return HalfSpaces", "plugin own.py, line 11: ZeroDiv"),
+    (
+        'border.lines("top")',
+        'border.lines("tip")',
+        "'tip' is not one of outline, top, bottom, left, ",
+    ),
+    ("border.points[nodes])", "border.points[nodes], 'xq')", "pegs: held = 'xq': is both or some of the letters xyz"),
     (HOLD, "return self.heldat", "own.py, line 20: AttributeError: 'Pegs' object has no"),
     (HOLD, "self.held_at", "[support] (pegs): hold returns None, not macro_fem.scene.Held"),
     ("border.points[nodes])", "border.points[nodes] * float('nan'))", "hold returns positions that are not finite"),

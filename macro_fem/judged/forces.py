@@ -60,8 +60,8 @@ def point_forces(solution: CurtainState) -> Iterator[PointForce]:
 
 
 def first_of_largest(sizes: Sequence[float]) -> int:
-    """The first of the forces that are the largest up to 1e-3: which of two mirrored hooks bears more is rounding."""
-    return int(np.argmax(np.asarray(sizes) >= 0.999 * max(sizes)))
+    """The first of the forces that are the largest up to 1e-4: which of two mirrored hooks bears more is rounding."""
+    return int(np.argmax(np.asarray(sizes) >= 0.9999 * max(sizes)))
 
 
 def spot_loads(scene: Scene) -> list[tuple[str, PointLoad | PatchLoad]]:

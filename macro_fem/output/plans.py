@@ -18,7 +18,7 @@ from macro_fem.judged import spot_loads
 from macro_fem.output import space_view
 from macro_fem.output.images import Draw, compose
 from macro_fem.output.pictures import draw_loads, plot_line_loads, plot_utilisation
-from macro_fem.scene.loads import PER_MM2, areal_mass
+from macro_fem.scene.loads import PER_MM2, areal_mass, loads_of_plugins, own_forces
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.support_kinds import Curve, Hanging, Track
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, Wind, in_3d
@@ -157,6 +157,12 @@ def _loads_on_sheet(solution: CurtainSolution, ax: Axes, off: float) -> None:
         for spot in spots:
             _arrow(ax, spot, np.array(in_3d(wind.direction)), 1.2 * off)
         _arrow(ax, centre, np.array(in_3d(wind.direction)), 1.2 * off, f"wind {strength}")
+    for own in loads_of_plugins(scene):
+        forces = padded(own_forces(own, scene, mesh, problem.disc))
+        size = np.linalg.norm(forces, axis=1)
+        if size.any():
+            at, total = np.average(problem.disc.nodes, axis=0, weights=size), forces.sum(axis=0)
+            _arrow(ax, at, total, 1.5 * off, f"{own.kind} {_size(total)} N")
 
 
 def _size(force: Any) -> str:

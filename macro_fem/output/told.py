@@ -6,8 +6,9 @@ from pathlib import Path
 from macro_fem.judged import asked_of_rings, links, spot_loads
 from macro_fem.motion_summary import CurtainMotionSummary, MotionSummary
 from macro_fem.ring_summary import EveryRingSummary
+from macro_fem.scene.loads import loads_of_plugins
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, Wind
+from macro_fem.scene.tables import Bar, EdgeLoad, Load, PatchLoad, Wind
 from macro_fem.summary import CombinationRow, CurtainNumbers, CurtainSummary, Envelope, Order
 from rve.common import digits
 from rve.common.files import Record
@@ -290,7 +291,13 @@ def loads_in_words(scene: Scene) -> str:
     for _, spot in spot_loads(scene):
         spread = f" (radius {spot.radius:g} mm)" if isinstance(spot, PatchLoad) else ""
         loads.append(f"{_vector(spot.force)} N at {_vector(spot.at)}{spread}")
-    return ", ".join([*loads, *(f"{_vector(one.force)} N/mm on {one.edge}" for one in scene.of(EdgeLoad))])
+    loads += [f"{_vector(one.force)} N/mm on {one.edge}" for one in scene.of(EdgeLoad)]
+    return ", ".join([*loads, *map(_own_in_words, loads_of_plugins(scene))])
+
+
+def _own_in_words(load: Load) -> str:
+    values = [f"{key} = {value}" for key, value in vars(load).items() if value != ()]
+    return f"{load.kind} ({', '.join(values)})" if values else load.kind
 
 
 def _vector(parts: Iterable[float]) -> str:

@@ -93,9 +93,14 @@ def nodal_forces(
                 f"[load.wind] speed = {wind.speed:g}: the law has no rings to tell the drag; give the pressure"
             )
         live += 0.0 if wind.follows else load_vector(disc, wind_per_area(wind, scene, cell))
-    for own in (one for one in scene.of(Load) if not isinstance(one, OURS)):
+    for own in loads_of_plugins(scene):
         live += own_forces(own, scene, mesh, disc)
     return dead + factor * live
+
+
+def loads_of_plugins(scene: Scene) -> list[Load]:
+    """The loads of a scene whose kinds are those of plugins."""
+    return [one for one in scene.of(Load) if not isinstance(one, OURS)]
 
 
 def own_forces(load: Load, scene: Scene, mesh: CurtainMesh, disc: Discretization) -> Array:

@@ -100,8 +100,10 @@ class Support(Timed):
         raise NotImplementedError
 
     def held_at(self, name: str, border: Border, nodes: Index, target: Array, held: str = "both") -> Held:
-        """The nodes held at places `target` (k, 2) or (k, 3) in the components of `held`; InputError for a gather that
-        moves none of them."""
+        """The nodes held at places `target` (k, 2) or (k, 3) in the components of `held`; InputError for others than
+        "both", x and y, and some of "xyz", and for a gather that moves none of them."""
+        if held != "both" and not set(held) <= set("xyz"):
+            raise InputError(f"{name}: held = {held!r}: is both or some of the letters xyz")
         mask = np.tile([held == "both" or axis in held for axis in "xyz"], (len(target), 1))
         way = target[:, :2] - border.points[nodes]
         if self.gather != 1.0 and np.abs(way[mask[:, :2]]).max(initial=0.0) <= 1e-9 * border.size:

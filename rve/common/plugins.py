@@ -33,12 +33,13 @@ def load_plugin(path: AnyPath) -> None:
     if spec is None or spec.loader is None:
         raise InputError(f"--plugin = {path}: is no Python file, .py")
     sys.modules[name] = module_from_spec(spec)
+    PLUGINS[str(place)] = content
     try:
         spec.loader.exec_module(sys.modules[name])
     except Exception as error:  # whatever the code of others raises
-        del sys.modules[name]
-        raise InputError(f"--plugin = {path}: {type(error).__name__}: {error}") from error
-    PLUGINS[str(place)] = content
+        at = place_in_plugin(error)
+        del sys.modules[name], PLUGINS[str(place)]
+        raise InputError(f"--plugin = {path}: {at and f'{at}: '}{type(error).__name__}: {error}") from error
 
 
 @cache

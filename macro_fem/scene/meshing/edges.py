@@ -24,6 +24,7 @@ from scipy.spatial import cKDTree
 from macro_fem.fem.cells import cross, signed_areas
 from rve.common import Array, InputError
 from rve.common.records import Index
+from rve.common.typed import not_one_of
 
 Chain: TypeAlias = tuple[np.ndarray, Array]
 """A part of the boundary: its facets (k,) and their mean normal (2,)."""
@@ -80,7 +81,10 @@ class Border:
         return nodes[in_order(self.points[nodes])]
 
     def lines(self, name: str) -> list[Line]:
-        """The lines that a named edge is made of, each from its left end; closed ones repeat their first point."""
+        """The lines that a named edge is made of, each from its left end; closed ones repeat their first point.
+        InputError for an edge that the sheet does not have."""
+        if name not in self.edges:
+            raise InputError(f"{name!r} {not_one_of(name, self.edges)}")
         points, pairs, found = self.points, self.edges[name], []
         nodes = np.unique(pairs)
         tree = cKDTree(points[nodes])
