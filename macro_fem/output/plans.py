@@ -181,7 +181,8 @@ def _arrow(ax: Axes, at: Any, force: Array, length: float, words: str = "") -> N
         ax.plot(*at, "." if way[2] >= 0.0 else "x", color=VERMILION, ms=3, zorder=7)
         words += ("\ntowards the viewer" if way[2] >= 0.0 else "\naway from the viewer") * bool(words)
     if words:
-        ax.annotate(words, tip, (4, -1), textcoords="offset points", va="top", color=VERMILION, zorder=8)
+        style = {"textcoords": "offset points", "va": "top", "color": VERMILION, "zorder": 8, "bbox": PAPER}
+        ax.annotate(words, tip, (4, -1), **style)
 
 
 def draw_plan(solution: CurtainSolution, width: float, most: float) -> Figure:
@@ -202,8 +203,10 @@ def draw_plan(solution: CurtainSolution, width: float, most: float) -> Figure:
             side = unit(np.array([(ahead - at)[1], -(ahead - at)[0], 0.0]))[:2]
             side *= -1.0 if side @ (at - middle) < 0.0 else 1.0
             told = f"R {digits(part.radius, 4)} mm\n" if part.radius else ""
-            ax.update_datalim([at + 3.5 * away * side])
-            _write(ax, at + 2.2 * away * side, f"{told}{digits(part.length, 5)} mm")
+            ax.update_datalim([at + 2.5 * away * side])
+            words = f"{told}{digits(part.length, 5)} mm"
+            apart = side * [30.0, -16.0]  # points; z goes down
+            ax.annotate(words, at, apart, textcoords="offset points", ha="center", va="center", zorder=9, bbox=PAPER)
             begin += part.length
         places = padded(solution.x)[held.nodes][:, [0, 2]]
         if item.has_hooks:
@@ -217,6 +220,8 @@ def draw_plan(solution: CurtainSolution, width: float, most: float) -> Figure:
     return figure
 
 
+PAPER = {"fc": "white", "ec": "none", "alpha": 0.8, "pad": 0.8}
+"""What words stand on, where arrows may be below."""
 MOST_PARTS = 12
 """Parts of a track up to which each is written beside it."""
 
@@ -347,7 +352,7 @@ def _number(ax: Axes, places: Array, off: Array) -> None:
     last = len(places)
     for number, at in enumerate(places, 1):
         if number in (1, last) or (number % NAMED == 0 and last - number >= NAMED // 2):
-            _write(ax, at + off, f"{number}", color=GREY)
+            _write(ax, at + off, f"{number}", color=GREY, bbox=PAPER)
 
 
 def _write(ax: Axes, at: Any, words: str, **style: Any) -> None:
