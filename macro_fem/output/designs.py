@@ -46,7 +46,9 @@ def design_columns(record: Record, names: Sequence[str] = COLUMNS) -> Row:
     """The numbers of a design by name, from its summary.json; of one in motion with those of `MOVING` besides, and what
     governs is its weakest moment."""
     is_moving = "smallest_factor" in record
-    weakest = {name: record[key] for name, key in GOVERNS.items()} if is_moving else {}
+    weakest: Row = {name: record[key] for name, key in GOVERNS.items()} if is_moving else {}
+    if forces := [one["largest_nodal_force_N"] for one in record["support_forces"]] if is_moving else []:
+        weakest["governing_force_N"] = max(forces)
     known = weakest | dict(record) | record.get("order", {})
     return {name: known.get(name, "") for name in (*names, *(MOVING if is_moving else ()))}
 
