@@ -93,7 +93,7 @@ def ladders() -> Iterator[tuple[str, dict[str, float]]]:
 def motion_row(name: str, changes: dict[str, float], steps: int) -> Row:
     """Six loads in the paper's scheme with these options changed."""
     cell = Cell(R1, WIRE * R1, density=changes.pop("density", Cell().density))
-    found = simulate(cell, (UNIQUE[:6, 0], UNIQUE[:6, 1]), SimulationOptions(max_steps=steps, **changes))  # type: ignore[arg-type]
+    found = simulate(cell, (UNIQUE[:6, 0], UNIQUE[:6, 1]), SimulationOptions(max_steps=steps, **changes))
     rest = found.rest
     row: Row = {"what is varied": name, OUTCOME: outcomes(found.status), "steps, median": float(np.median(rest.steps))}
     intact = rest.contacts.links_intact.all()
@@ -162,7 +162,7 @@ def curtain_rows() -> list[Row]:
     law = default_law()
     rows = [curtain_row(*one, law, kind) for kind in ("rigid", "elastic") for one in curtain_tables().items()]
     for size in 10.0 ** np.arange(10):
-        stiff = replace(law, stiffness=size * np.eye(3), strength=None)  # type: ignore[type-var]
+        stiff = replace(law, stiffness=size * np.eye(3), strength=None)
         rows.append(curtain_row(f"rings of {size:.0e} N/mm", {}, stiff, "elastic"))
     return rows
 

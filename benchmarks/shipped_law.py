@@ -14,7 +14,7 @@ import numpy as np
 
 from homogenize import fit_table
 from homogenize.io import DEFAULT_LAW
-from homogenize.laws import STATED_STIFFNESS, law_record
+from homogenize.laws import STATED_STIFFNESS, PolyhedralLaw, law_record
 
 
 def shipped_record(table: Path) -> dict[str, Any]:
@@ -23,6 +23,7 @@ def shipped_record(table: Path) -> dict[str, Any]:
     provenance = {key: value for key, value in law.provenance.items() if key not in ("python", "numpy", "scipy")}
     provenance["stiffness"] = f"stated: {STATED_STIFFNESS:g} N/mm for every strain, not from the table"
     stated = STATED_STIFFNESS * np.eye(3)
+    assert isinstance(law, PolyhedralLaw)
     return law_record(replace(law, stiffness=stated, stiffness_is_measured=False, provenance=provenance))
 
 

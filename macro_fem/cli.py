@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, replace
+from functools import partial
 from importlib.util import find_spec
 from itertools import product, takewhile
 from pathlib import Path
@@ -21,7 +22,6 @@ from rve.common import (
 )
 from rve.common.commands.command_line import Group, answer, end_as, made, options, renamed, say, say_next
 from rve.common.commands.sweeps import Row, SweepItem, further_options, run_sweep, sweep_options
-from rve.common.files import Record
 
 MOST_RINGS = 90_000
 """From this many on `localize` is told that they are wanted: its own limit is a little above."""
@@ -246,10 +246,9 @@ def sweep(out: Path, arguments: tuple[str, ...], laws: tuple[Path, ...], **worke
 
     The same command again runs only what is not finished. Exit code 1 if a scene failed: sweep.csv says why.
     """
+    from macro_fem.output.designs import design_columns
 
-    def columns(record: Record) -> Row:
-        return {name: record.get(name, "") for name in COLUMNS}
-
+    columns = partial(design_columns, names=COLUMNS)
     first = out / run_sweep(_runs(arguments, laws, out), out, columns, **workers)[0]["name"]
     _say_next_of_curtain(first, read_json_object(first / "summary.json"))
 

@@ -35,6 +35,12 @@ THICKNESS = 10.0
 """Nominal thickness in mm of the elements; stresses times it are line loads. Larger: normals of cells in space are
 stiffer, which have no other effect."""
 COMPILE = "gfortran -O2 -std=legacy -w -c umat.f"
+AGREE = 0.01
+"""Forces of supports agree that differ by less than this part of the largest one."""
+OPEN = (
+    "balance leaves open how these supports share the load, above all sideways: ours is that of elastic rings, theirs "
+    "follows from the rounding of the law, which is softer; single points and hooks that slide agree"
+)
 LINK = "gfortran -fopenmp -o ccx {0}/main.o umat.o {0}/ccx.a -lspooles -larpack -llapack -lblas -lpthread"
 
 
@@ -245,4 +251,5 @@ def deck_lines(summary: JsonObject, out: Path) -> list[str]:
         *lines,
         f"{ended}; mean height {summary['mean_height_mm']:.1f} mm, ours {summary['our_mean_height_mm']:.1f} mm",
         f"forces of supports differ by up to {summary['force_error']:.2%} of the largest one",
+        *([OPEN] if summary["our_forces_by"] == "elastic" and summary["force_error"] > AGREE else []),
     ]

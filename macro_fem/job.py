@@ -37,8 +37,10 @@ law of rings with r1 = 5 mm and r2 = 0.5 mm."""
 
 
 @overload
-def solve(scene: Scene, who: EveryRing, *, progress: Callable[[Progress], object] | None = None) -> EveryRingSolution:
-    """The answer of every ring."""
+def solve(
+    scene: Scene, who: EveryRing, *, progress: Callable[[Progress], object] | None = None
+) -> EveryRingSolution | Any:
+    """The answer of every ring; of one in motion that type does not tell."""
 
 
 @overload
@@ -47,13 +49,15 @@ def solve(
     who: MembraneLaw | LawInterval | OnDemand | None = None,
     *,
     progress: Callable[[Progress], object] | None = None,
-) -> MembraneSolution:
-    """The answer of a law."""
+) -> MembraneSolution | Any:
+    """The answer of a law; of one in motion that type does not tell."""
 
 
 @checked
 def solve(scene: Scene, who: Who = None, *, progress: Callable[[Progress], object] | None = None) -> Solution:
     """The answer to a scene, a `MotionSolution` to one with [motion].
+
+    Whether a scene moves is no part of its type: `isinstance(answer, MotionSolution)` tells type checkers which it is.
 
     progress: is called, as `print` would be, with a `Progress`: what is being done, and where it can be counted how far
     it is, with the time used and left.

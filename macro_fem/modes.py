@@ -285,7 +285,7 @@ def run_modes(
         time_s=None if scene.motion is None else 0.0,
         forces_by=forces_by(found),
         cells=problem.disc.n_cells,
-        notes=list(problem.mesh.notes),
+        notes=problem.notes,
         law=problem.law.name,
         wall_s=found.wall_s,
         versions=versions("scikit-fem", "scikit-sparse"),

@@ -35,7 +35,7 @@ def write_motion_report(
     lines = [line for line in lines if summary.weakest or not line.startswith("First")]
     if summary.status != "converged":
         lines = [f"{summary.status[:1].upper()}{summary.status[1:]}: {summary.message}", *lines]
-    rows = [[_named(name), digits(value, 4), unit] for name, value, unit in _numbers(summary)]
+    rows = list(_numbers(summary))
     limits = [*LIMITS, f"Forces: {summary.forces}.", summary.verdict_note, *summary.notes]
     sections = [
         Chapter("Forces of supports at the weakest moment", tables=_at_moment(summary)),
@@ -47,12 +47,12 @@ def write_motion_report(
     write_pages(path, scene, Headline(lines, holds), [[curve], [shown]], sections, summary.versions, inputs)
 
 
-def _numbers(summary: MotionSummary) -> Iterator[tuple[str, float, str]]:
-    """Names, values and units of the plain numbers of a summary."""
-    for key, value in summary.items():
-        if isinstance(value, int | float) and not isinstance(value, bool) and key != "wall_s":
-            unit = next((one for one in UNITS if key.endswith(f"_{one}")), "")
-            yield key.removesuffix(f"_{unit}"), float(value), UNITS.get(unit, "")
+def _numbers(summary: MotionSummary) -> Iterator[tuple[str, str, str]]:
+    """Words, value and unit of each number of `WORDS` that a summary has."""
+    for key, words in WORDS.items():
+        if (value := summary.get(key)) is not None:
+            unit = next((one for end, one in UNITS.items() if key.endswith(f"_{end}")), "")
+            yield words, f"{value}" if isinstance(value, int) else digits(value, 4), unit
 
 
 UNITS = {
@@ -63,13 +63,49 @@ UNITS = {
     "N": "N",
     "mm": "mm",
     "s": "s",
-    "Hz": "Hz",
 }
 """Units by the ends of keys, longer ones first."""
-
-
-def _named(key: str) -> str:
-    return key.removesuffix("_at").replace("_", " ") + (" at" if key.endswith("_at") else "")
+WORDS = {
+    "smallest_factor": "smallest factor of all links over time",
+    "at_s": "its moment",
+    "safety_factor": "at that moment: first ring yields at so many times the load",
+    "collapse_factor": "a ring collapses at so many times the load",
+    "ring_yield_N_per_mm2": "yield stress of the wire",
+    "utilisation_max": "rings are used at most, 1: yields",
+    "utilisation_of_averages_max": "of it in the mesh, averages over a cell of the weave",
+    "utilisation_of_point_forces_max": "of it at held and loaded points",
+    "utilisation_of_hook_rings_max": "of it in the rings at hooks",
+    "utilisation_pointwise_max": "largest utilisation in a triangle at that moment",
+    "peak_utilisation": "largest utilisation in a triangle over time",
+    "peak_utilisation_at_s": "its moment",
+    "peak_line_load_N_per_mm": "largest line load over time",
+    "peak_line_load_at_s": "its moment",
+    "peak_contact_force_N": "largest force between two rings over time",
+    "peak_contact_force_at_s": "its moment",
+    "peak_support_force_N": "largest force of all supports together",
+    "peak_support_force_at_s": "its moment",
+    "peak_support_impulse_N_s": "largest impulse of a step on all supports together",
+    "mean_height_mm": "mean height of the mesh at the end",
+    "lowest_point_mm": "lowest point at the end",
+    "kinetic_N_mm": "kinetic energy at the end",
+    "potential_N_mm": "potential energy of the weight at the end",
+    "stored_N_mm": "energy stored in the rings at the end",
+    "work_N_mm": "work of wind and supports",
+    "lost_by_damping_N_mm": "energy lost by damping",
+    "lost_by_locking_N_mm": "energy lost as rings lock and things touch",
+    "lost_by_scheme_N_mm": "energy lost by the steps of time, less with shorter ones",
+    "lost_by_scheme_share": "its share of the largest kinetic energy",
+    "account_error": "error of the sum of these energies, relative",
+    "impacts": "steps in which rings or bodies strike",
+    "largest_impact_at_s": "the moment of the largest",
+    "duration_s": "duration asked for",
+    "reached_s": "duration solved",
+    "steps": "steps",
+    "cells": "triangles",
+    "ring_count": "rings",
+    "min_gap_mm": "smallest gap between two rings",
+}
+"""What the table of numbers calls those of summary.json, in its order."""
 
 
 def _at_moment(summary: MotionSummary) -> list[PageTable]:

@@ -49,10 +49,6 @@ LARGE, LEAST_COARSE = 48, 16
 """Cells along the width from which a coarser mesh guides the search, and the fewest of that mesh."""
 KEPT = ".size"
 """Folder of answers inside that of the result."""
-RINGS_NOT_JUDGED = (
-    "the law does not tell the strength of rings, so that the factor is that of hooks or runners alone: make the table "
-    "with rve table --rings, in Python rve.with_rings(table, cell), and fit it again"
-)
 Uses = dict[float, float]
 """Logarithm of asked over found factor by value: at most 0 where it holds, inf where there is no answer."""
 
@@ -343,7 +339,8 @@ def _size_of(trials: Trials, span: Range, good: float | None, bad: float | None)
     if good is None:
         return size
     row, notes = rows[good], list[str | None]()
-    notes.append(RINGS_NOT_JUDGED if row.safety_factor is None else row.utilisation_too_low)
+    alone = f"the factor is that of hooks or runners alone, the strength of the mesh is not known: {row.strength_note}"
+    notes.append(row.utilisation_too_low if row.strength_note is None else alone)
     if bad is not None:
         if rows[bad].factor is None:
             notes.append(f"{sought.vary} = {bad:.6g} has no answer: {rows[bad].status}")

@@ -59,13 +59,14 @@ class Outcome(NamedTuple):
     weakest: str | None = None
     utilisation_too_low: str | None = None
     governing_combination: str | None = None
+    strength_note: str | None = None
 
 
 @dataclass(frozen=True)
 class Row:
     """An answer at a value: the least `factor` of all links, rings and hooks, and what gives first; `safety_factor`:
-    that of the rings alone, too large where `utilisation_too_low` says why. Where there is no answer factors are None,
-    and `status` says why. cells: of the mesh, along its width."""
+    that of the rings alone, too large where `utilisation_too_low` says why, None where `strength_note` does. Without
+    an answer factors are None, and `status` says why. cells: of the mesh, along its width."""
 
     value: float
     factor: float | None
@@ -75,6 +76,7 @@ class Row:
     utilisation_too_low: str | None = None
     governing_combination: str | None = None
     cells: int = 0
+    strength_note: str | None = None
 
 
 @dataclass(frozen=True)
@@ -258,9 +260,9 @@ def answer_of(scene: Scene, who: Who) -> Outcome:
 
 def _outcome(summary: CurtainSummary) -> Outcome:
     worst = summary.envelope or summary
+    note = summary.strength_note if summary.utilisation_max is None else None
     if worst.weakest_factor is None:
-        unknown = f"the strength of the rings is not known: {summary.strength_note}"
-        return Outcome(unknown if summary.utilisation_max is None else "there is no load")
+        return Outcome("there is no load" if note is None else f"the strength of the rings is not known: {note}")
     governing = summary.envelope.governing if summary.envelope else None
     factors = worst.weakest_factor, worst.safety_factor
-    return Outcome("converged", *factors, worst.weakest, worst.utilisation_too_low, governing)
+    return Outcome("converged", *factors, worst.weakest, worst.utilisation_too_low, governing, note)

@@ -18,6 +18,7 @@ from macro_fem.output import loads_in_words
 from macro_fem.output.plans import draw_sheet
 from rve.common import load_installed, load_plugin
 from rve.common.files import PLUGINS
+from rve.common.plugins import forget_plugins
 from tests.commands import run
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -119,6 +120,22 @@ def test_workers_of_a_sweep_load_plugins(folder: Path, jobs: int) -> None:
     assert "2 of 2 done" in done.output
 
 
+def test_where_an_own_law_leaves_the_strength_open_every_verdict_says_so(folder: Path) -> None:
+    """A law without rings has none to make a table of."""
+    hooks = SCENE.replace('kind = "rope"\nsag = 40.0\n', 'kind = "hooks"\npitch = 100.0\ncapacity = 20.0\n')
+    (folder / "still.toml").write_text(hooks)
+    (folder / "moved.toml").write_text(hooks + "[motion]\nduration = 0.01\nstep = 0.01\n")
+    words = ["--law", folder / "law.json", "--plugin", EXAMPLES / "own_law.py"]
+    ends = ["--vary", "pitch", "--from", 100, "--to", 300, "--factor", 2]
+    sized = run("macro_fem", "size", folder / "still.toml", *words, *ends)
+    both = folder / "still.toml", folder / "moved.toml"
+    compared = run("macro_fem", "compare-designs", *both, *words, "--no-picture", "--out", folder / "all")
+    assert "rve table" not in sized.output + compared.output
+    note = "the strength of the mesh is not known: the law has no rings that bear the loads"
+    assert [text.count(note) for text in (sized.output, compared.output)] == [1, 2]
+    assert "still: holds, factor of at most" in compared.output
+
+
 def test_an_own_load_is_integrated_and_scaled(folder: Path) -> None:
     """p at the hem that fades to 0 at half the height: p b h / 4, times the factor of a combination."""
     data: dict[str, Any] = {
@@ -129,7 +146,6 @@ def test_an_own_load_is_integrated_and_scaled(folder: Path) -> None:
     data["load"] = {"gravity": 0.0, "dirt": {"pressure": 40.0, "height": 200.0}}
     data |= {"combination": [{"name": "wet", "dirt": 1.5}], "material": {"material": "wire of my mill"}}
     answer = macro_fem.solve(macro_fem.read_scene(data))
-    assert isinstance(answer, macro_fem.Solution)
     whole = 40.0 * 0.6 * 0.1
     hung = -answer.summary.total_load_N[1]
     assert hung == pytest.approx(whole, rel=0.02)  # of the middles of cells
@@ -312,3 +328,33 @@ def test_installed_packages_are_plugins_by_entry_points(tmp_path: Path, monkeypa
         load_installed.cache_clear()
         rve.MATERIALS.pop("my wire")
         sys.modules.pop("my_mill")
+
+
+@pytest.mark.slow
+def test_workers_of_a_cluster_know_only_the_plugins_of_their_item(folder: Path, tmp_path: Path) -> None:
+    """They live longer than a sweep, whose plugins another one replaces by a file of the same words."""
+    import distributed
+
+    steep = tmp_path / "steep" / "own_support.py"
+    steep.parent.mkdir()
+    steep.write_text((EXAMPLES / "own_support.py").read_text().replace("4.0 * self.sag", "6.0 * self.sag"))
+
+    def sweep(out: str, support: Path) -> tuple[Any, int]:
+        """The summary of the scene on the support, and when it was written."""
+        forget_plugins()
+        words = ["--law", folder / "law.json", "--no-picture", "--out", folder / out, "--cluster", address]
+        words += [f"--plugin={EXAMPLES / 'own_law.py'}", f"--plugin={support}"]
+        run("macro_fem", "sweep", folder / "scene.toml", *words)
+        path = folder / out / "scene" / "summary.json"
+        return json.loads(path.read_text()), path.stat().st_mtime_ns
+
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        address = cluster.scheduler_address
+        first, written = sweep("flat", EXAMPLES / "own_support.py")
+        other, _ = sweep("steep", steep)
+        assert sweep("flat", EXAMPLES / "own_support.py")[1] == written
+    for path in EXAMPLES.glob("own_*.py"):  # as other tests here know them
+        load_plugin(path)
+    names = {"plugin own_law.py", "plugin own_support.py"}
+    assert [{name for name in one["versions"] if name.startswith("plugin")} for one in (first, other)] == [names] * 2
+    assert other["mean_height_mm"] < first["mean_height_mm"] - 10.0

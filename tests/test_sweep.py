@@ -96,7 +96,16 @@ def test_scenes_side_by_side(tmp_path):
     for name in ("low/curtain.vtu", "low/support_forces.csv", "high/curtain.vtu", "sweep.csv"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "out" / name).read_bytes(), name
     scenes[0].write_text(SCENE.format(height=50.0) + "motion = {duration = 1e-3}")
-    assert run(macro_fem, "sweep", scenes[0], "--no-picture", "--out", tmp_path / "moved").exit_code == 0
+    assert run(macro_fem, "sweep", *scenes[:2], "--no-picture", "--out", tmp_path / "moved").exit_code == 0
+    moved, still = rows_of(tmp_path / "moved")
+    summary = json.loads((tmp_path / "moved" / "low" / "summary.json").read_text())
+    assert float(moved["governing_factor"]) == float(moved["smallest_factor"]) == summary["smallest_factor"]
+    assert (float(moved["at_s"]), moved["governing_link"], moved["governing_place"]) == (
+        summary["at_s"],
+        summary["weakest"],
+        summary["weakest_place"],
+    )
+    assert (still["smallest_factor"], bool(still["governing_factor"])) == ("", True)
 
 
 @pytest.fixture

@@ -9,8 +9,7 @@ from benchmarks.every_ring.brute import frames
 from benchmarks.every_ring.cases import AREAL_MASS, Array
 from benchmarks.frame import Section, table
 from benchmarks.measure import Row
-from homogenize import default_law, fit
-from homogenize.laws import PolyhedralLaw
+from homogenize import Law, default_law, fit
 from macro_fem import read_scene, solve
 from macro_fem.rings import ring_scene
 from rve import Cell, solve_table, with_rings
@@ -39,7 +38,7 @@ ALL, BESIDE, HOOK = "largest, rings / disk", "beside the held ring / mesh", "hel
 
 
 @cache
-def law_of(weave: str) -> PolyhedralLaw:
+def law_of(weave: str) -> Law:
     """The law of r1/r2 = 10 with the strength of its rings; of 6-in-1 from a grid of 10 degrees."""
     if weave == "4-in-1":
         return default_law()

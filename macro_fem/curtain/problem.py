@@ -17,13 +17,20 @@ from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.obstacles import Body, Box, PlacedObstacle
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.supports import Supports, build_supports, pin_sliding, told
-from macro_fem.scene.tables import PointLoad, Wind
+from macro_fem.scene.tables import Bar, PointLoad, Wind
 from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, digits
 
 THINNEST = 0.2
 """Half the least width of a body over the longest side of a cell; thinner ones pass between the points of a mesh."""
+
+STRAIGHT = 0.01
+"""A track is bent that needs a strip wider than this part of the size of the sheet to lie in."""
+BENT_TRACK = (
+    "the straight bar keeps the edge {} on a line, and the track above it bends within a strip {} mm wide: "
+    "straight = false under [load.bar] is for a bar bent like the track, or a chain"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +78,14 @@ class CurtainProblem:
     def exact(self) -> Discretization:
         """Points at which loads are integrated; those of an admissible problem are at corners, which is not exact."""
         return discretize(self.mesh.mesh, "P2") if self.disc.element == "P2" else self.disc
+
+    @property
+    def notes(self) -> list[str]:
+        """What was mended in the mesh, and straight bars below tracks that are not."""
+        tracks = [one.track - one.track.mean(axis=0) for one in self.supports.held if one.track is not None]
+        bulge = max((float(np.ptp(one @ np.linalg.svd(one)[2][1])) for one in tracks), default=0.0)
+        edges = [bar.edge for bar in self.scene.of(Bar) if bar.straight and bulge > STRAIGHT * self.mesh.size]
+        return [*self.mesh.notes, *(BENT_TRACK.format(edge, digits(bulge)) for edge in edges)]
 
     @cached_property
     def elastic_law(self) -> HungLaw:

@@ -30,6 +30,7 @@ from macro_fem.scene.tables import Bar, EdgeLoad
 from macro_fem.summary import RingStrength, Utilisation
 from rve import pulled_ring
 from rve.common import Array, InputError, digits
+from rve.common.plugins import plugin_of
 from rve.common.tensor import dyad, eigenvalues
 from rve.geometry import CellInfo
 
@@ -126,6 +127,8 @@ def judged_by(law: HungLaw) -> tuple[Strength, CellInfo] | str:
     known = strength_of_law(law.own)
     if known is None and law.cell is None:
         return "the law has no rings that bear the loads"
+    if known is None and (plugin := plugin_of(type(law.own))) is not None:
+        return f"a law of the plugin {plugin} does not tell it"
     if known is None:
         return (
             "the law was made without it: make its table with rve table --rings, in Python with rve.with_rings, and "

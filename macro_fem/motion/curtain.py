@@ -191,6 +191,8 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         is_known, disc, strength = bool(np.isfinite(used).all()), last.problem.disc, judge_strength(weakest)
         supports, notes = support_forces(weakest), [told.message] * (told.status != "converged")
         least = next(iter(links(strength, supports)), None)
+        if least is not None and strength.utilisation_max is None:
+            notes.append(f"the strength of the mesh is not known: {strength.strength_note}")
         if self.is_rigid and (struck := told.impacts):
             at = f"{struck} impact{'s' * (struck > 1)}, the largest at {told.largest_impact_at_s:.6g} s"
             notes.append(AT_IMPACTS.format(at))

@@ -33,11 +33,24 @@ COLUMNS = (
 )  # fmt: skip
 """What the table takes from summary.json."""
 
+GOVERNS = {
+    "governing_factor": "smallest_factor", "governing_link": "weakest", "governing_place": "weakest_place",
+    "governing_note": "verdict_note",
+}  # fmt: skip
+"""What governs a curtain in motion, by its names in summary.json."""
+MOVING = ("smallest_factor", "at_s", "peak_support_force_N", "peak_support_force_at_s", "reached_s")
+"""Further columns of curtains in motion."""
 
-def design_columns(record: Record) -> Row:
-    """The numbers of a design, from its summary.json, of one in motion too."""
-    moving = {"governing_factor": record.get("smallest_factor", ""), "governing_link": record.get("weakest", "")}
-    return {name: (moving | dict(record) | record.get("order", {})).get(name, "") for name in COLUMNS}
+
+def design_columns(record: Record, names: Sequence[str] = COLUMNS) -> Row:
+    """The numbers of a design by name, from its summary.json; of one in motion with those of `MOVING` besides, and what
+    governs is its weakest moment."""
+    is_moving = "smallest_factor" in record
+    weakest: Row = {name: record[key] for name, key in GOVERNS.items()} if is_moving else {}
+    if forces := [one["largest_nodal_force_N"] for one in record["support_forces"]] if is_moving else []:
+        weakest["governing_force_N"] = max(forces)
+    known = weakest | dict(record) | record.get("order", {})
+    return {name: known.get(name, "") for name in (*names, *(MOVING if is_moving else ()))}
 
 
 def design_line(row: Row) -> str:
@@ -46,7 +59,7 @@ def design_line(row: Row) -> str:
     words = {"mass_kg": "{} kg", "rings": "{} rings", "mean_height_mm": "mean height {} mm",
              "governing_force_N": "largest force {} N", "wall_s": "{} s"}  # fmt: skip
     numbers = [text.format(known[name]) for name, text in words.items() if name in known]
-    return f"{row['name']}: {_held(row)}; {', '.join(numbers)}"
+    return "; ".join(filter(None, [f"{row['name']}: {_held(row)}", ", ".join(numbers), row["governing_note"]]))
 
 
 def _number(value: float, count: int) -> str:
@@ -61,12 +74,15 @@ def _held(row: Row) -> str:
     if row["governing_factor"] in (None, ""):
         return "holds" if row["holds"] else "does not hold"
     under = f" under {row['governing_combination']}" if row["governing_combination"] else ""
-    return f"{'holds' if row['holds'] else 'does not hold'}, factor {digits(row['governing_factor'])}{under}"
+    most = "of at most " if row["governing_note"] and "smallest_factor" not in row else ""
+    return f"{'holds' if row['holds'] else 'does not hold'}, factor {most}{digits(row['governing_factor'])}{under}"
 
 
 def lightest(rows: Sequence[Row]) -> Row | None:
-    """The design of least mass that holds, None if none does."""
-    return min((row for row in rows if row["holds"] is True), key=lambda row: row["mass_kg"], default=None)
+    """The design of least mass that holds, of those whose factor is not known to be less if there are any; None if
+    none does."""
+    held = [row for row in rows if row["holds"] is True and row["mass_kg"] != ""]
+    return min(held, key=lambda row: (bool(row["governing_note"]), row["mass_kg"]), default=None)
 
 
 def save_designs(out: Path, rows: Sequence[Row], folders: Sequence[Path], *, picture: bool) -> None:
@@ -90,7 +106,8 @@ def _write_sheet(rows: Sequence[Row], path: Path) -> None:
     book = Workbook()
     sheet: Any = book.active
     sheet.title, sheet.freeze_panes = "designs", "B2"
-    for line in (list(rows[0]), *(list(row.values()) for row in rows)):
+    names = list(dict.fromkeys(key for row in rows for key in row))
+    for line in (names, *([row.get(name, "") for name in names] for row in rows)):
         sheet.append([None if one == "" else one for one in line])
     for cells in sheet.columns:
         cells[0].font = Font(bold=True)
@@ -110,7 +127,8 @@ def chart(rows: Sequence[Row]) -> Figure:
         if name == "governing_factor":
             ax.axvline(1.0, color="black", lw=0.8, ls="--", zorder=0)
             under = [f" {row['governing_combination']}" if row["governing_combination"] else "" for row in rows]
-            texts = [text and text + more for text, more in zip(texts, under, strict=True)]
+            most = ["at most " * ("of at most" in _held(row)) for row in rows]
+            texts = [text and f"{at}{text}{more}" for at, text, more in zip(most, texts, under, strict=True)]
         ax.bar_label(bars, texts, padding=3, fontsize=8, bbox={"fc": "white", "ec": "none", "pad": 0.6})
         most = np.nanmax(values, initial=0.0)
         ax.set_xlim(0.0, (1.15 + 0.045 * max(map(len, texts))) * most or 1.0)

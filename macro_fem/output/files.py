@@ -52,7 +52,7 @@ def summarize(solution: CurtainSolution) -> CurtainNumbers:
     found = CurtainNumbers(
         status=solution.status,
         message=solution.message,
-        notes=list(problem.mesh.notes),
+        notes=problem.notes,
         mean_height_mm=solution.mean_height(),
         lowest_point_mm=float(x[:, 1].min()),
         lowest_point_at_mm=x[x[:, 1].argmin()].tolist() if in_space else None,

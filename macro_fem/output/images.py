@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -62,7 +63,8 @@ def compose(
         ax.imshow(image, interpolation="antialiased")
     for ax, caption in zip(axes.flat, captions, strict=False):
         ax.set_title(caption, fontsize=9)
-    figure.suptitle(title, fontsize=10, wrap=True)
+    together = re.sub(r"(?<=\d) (?=[a-zA-Z])", "\N{NO-BREAK SPACE}", title)  # no line ends between number and unit
+    figure.suptitle(together, fontsize=10, wrap=True)
     for scale in scales:
         scale.add_bar(*axes.flat, location="bottom", shrink=0.7, aspect=40, pad=0.01)
     marks = [

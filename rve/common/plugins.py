@@ -20,6 +20,8 @@ from rve.common.texts import MOST_TOML_BYTES, read_bytes
 
 GROUP = "ring_mesh.plugins"
 PACKAGES = ("rve", "homogenize", "macro_fem")
+REGISTERS: list[dict[str, type[Any]]] = []
+"""What classes of plugins are known by, each by the words of files."""
 
 
 def load_plugin(path: AnyPath) -> None:
@@ -40,6 +42,15 @@ def load_plugin(path: AnyPath) -> None:
         at = place_in_plugin(error)
         del sys.modules[name], PLUGINS[str(place)]
         raise InputError(f"--plugin = {path}: {at and f'{at}: '}{type(error).__name__}: {error}") from error
+
+
+def forget_plugins() -> None:
+    """Let this process know no plugin file any more, so that the next one may take its words."""
+    for kinds in REGISTERS:
+        for kind, cls in list(kinds.items()):
+            if getattr(sys.modules[cls.__module__], "__file__", None) in PLUGINS:
+                del kinds[kind]
+    PLUGINS.clear()
 
 
 @cache
@@ -68,6 +79,8 @@ def register(kinds: dict[str, type[Any]], kind: str, cls: type) -> None:
     if (other.__module__, other.__qualname__) != (cls.__module__, cls.__qualname__):
         raise InputError(f"kind = {kind!r} of {cls.__name__}: is that of {other.__name__}; choose another word")
     kinds[kind] = cls
+    if not any(kinds is one for one in REGISTERS):
+        REGISTERS.append(kinds)
 
 
 def plugin_of(cls: type) -> str | None:

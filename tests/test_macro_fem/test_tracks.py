@@ -5,9 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from homogenize import default_law
 from macro_fem import Track, read_scene
 from macro_fem.bounds import bound
-from macro_fem.scene import Line
+from macro_fem.curtain import make_problem
+from macro_fem.scene import Line, build_mesh
 from tests.test_macro_fem.sheets import solve_scene
 
 from .conftest import STRETCH_X
@@ -141,3 +143,21 @@ def test_a_track_too_long_for_the_mesh_is_refused(ring_like, scene_tables, pitch
     assert solved(scene_tables, ring_like, short).status == "converged"
     beyond = {"kind": "track", "path": [[0.0, 0.0], [1.001 * limit, 0.0]], **runners}
     assert solved(scene_tables, ring_like, beyond).status == "infeasible"
+
+
+@pytest.mark.parametrize(("track", "straight", "is_told"), [
+    ({"radius": 400.0, "angle": 60.0}, True, True),
+    ({"radius": 400.0, "angle": 60.0}, False, False),
+    ({"path": [[0.0, 0.0], [500.0, 500.0]]}, True, False),
+])  # fmt: skip
+def test_a_straight_bar_below_a_bent_track_is_told(track, straight, is_told):
+    """An arc of 60 degrees bends within r (1 - cos 30)."""
+    scene = {
+        "curtain": {"width": 600.0, "height": 300.0},
+        "mesh": {"cells": 4},
+        "support": {"kind": "track", **track},
+        "load": {"bar": {"mass": 1.0, "straight": straight}},
+    }
+    notes = make_problem(read_scene(scene), default_law(), build_mesh(read_scene(scene), None)).notes
+    assert len(notes) == is_told
+    assert not notes or f"{400.0 * (1.0 - math.cos(math.pi / 6.0)):.1f} mm wide: straight = false" in notes[0]

@@ -25,7 +25,7 @@ import click
 from rve.common.commands.command_line import answer, ending, options, say
 from rve.common.errors import InputError, noted_if_stopped, require
 from rve.common.files import PLUGINS, Cache, JsonObject, checksum, versions, write_text
-from rve.common.plugins import load_plugin
+from rve.common.plugins import forget_plugins, load_plugin
 from rve.common.progress import tell
 from rve.common.texts import csv_text, read_json_object, recorded_reads
 
@@ -68,7 +68,9 @@ class Ended:
 
 def run_item(item: SweepItem) -> Ended:
     """Runs a command in this process, which ends where it is stopped from outside; that it is finished is marked at
-    once, so that a sweep that is killed later does not lose it."""
+    once, so that a sweep that is killed later does not lose it. Workers of a cluster may know plugins of another sweep.
+    """
+    forget_plugins()
     try:
         with recorded_reads() as read, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
             main = import_module(f"{item.package}.cli").main
