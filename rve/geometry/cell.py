@@ -108,8 +108,8 @@ class Cell(Typed):
 
     @property
     def is_larger(self) -> bool:
-        """Whether more than the planar primitive cell is asked for."""
-        return self.cells != (1, 1) or self.centres == "space"
+        """Whether more is asked for than the primitive cell with centres in the plane, where they lie in one."""
+        return self.cells != (1, 1) or (self.centres == "space" and self.weave.is_flat)
 
     @property
     def bound_note(self) -> str:

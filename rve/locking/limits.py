@@ -121,7 +121,7 @@ def balanced(pose: Pose, s: Array, equations: Equations, reach: float | Array = 
     contacts, none = equations.contacts(pose), np.zeros(len(s), dtype=int)
     lam, system = contact_forces(pose, contacts, equations, s, reach)
     status = np.full(len(s), "converged", dtype="<U16")
-    return Equilibrium(pose, lam, contacts, system.weighted_residual, none, status, none)
+    return Equilibrium(pose, lam, contacts, system.weighted_residual, none, status, none, pose)
 
 
 def polish(pose: Pose, equations: Equations, s: Array, reach: float | Array = 1e-5, steps: int = 4) -> Equilibrium:
