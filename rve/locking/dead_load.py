@@ -40,6 +40,8 @@ class RestartOptions:
     """Gaps in r1 that random poses keep."""
     unstable: float = -1e-6
     """Stiffness in s r1^2 below which a motion gives way."""
+    wide: float = 1e-2
+    """First complementarity beside a balance that gives way: rings go far from there."""
     push: float = 0.06
     """Largest displacement of a start along such a motion, in radii of the wire: no ring passes another."""
 
@@ -161,7 +163,9 @@ def beside_saddles(found: Equilibrium, loads: Array, equations: Equations, optio
     rows, ways = ways_down(near, s[left], equations, 1)
     if not len(rows):
         return found
-    new = restart(s[left[rows]], equations, equations.moved(near.pose.take(rows), ways), RESTART.near_margin, options)
+    start = open_gaps(equations.moved(near.pose.take(rows), ways), equations, RESTART.near_margin)
+    slow = replace(_patient(options), mu_start=RESTART.wide, corrections=options.corrections)
+    new = solve_equilibrium(s[left[rows]], equations, slow, start)
     good = np.flatnonzero(new.status == "converged")
     new = replace(new, iterations=new.iterations + found.iterations[left[rows]])
     return found.put(left[rows[good]], new.take(good))
