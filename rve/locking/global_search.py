@@ -164,8 +164,8 @@ def search(best: BestStates, sample: KnownStates, others: KnownStates | None = N
     """The states of largest work: better than `best` wherever restarts from those of `sample` or `others` lead to one.
 
     Every load, in a thick cell every one that is narrow or has no state, is restarted from those of the sample that do
-    most work under it; a narrow one of thin wire from a random pose as well, on a long path; then all, as `climb`
-    does, from those that do more than their own. A load that is still without a state starts from the slack pose.
+    most work under it; a narrow one from the slack pose as well, of thin wire from a random one, on a long path; then
+    all, as `climb` does, from those that do more than their own. A load that is still without a state starts from the slack pose.
     """
     mesh, S = best.mesh, best.S
     low, high = eigenvalues(S)
@@ -177,9 +177,9 @@ def search(best: BestStates, sample: KnownStates, others: KnownStates | None = N
         each = np.repeat(rows, first.shape[1])
         new = restart(S[each], mesh.dead, sample.pose.take(first.ravel()), RESTART.near_margin, mesh.options)
         best = best.improved(each, new, "restart")
-    long = np.flatnonzero(is_narrow & (not quick))
+    long = np.flatnonzero(is_narrow)
     if len(long):
-        start = random_poses(mesh.dead, 1).take(np.zeros(len(long), dtype=int))
+        start = None if quick else random_poses(mesh.dead, 1).take(np.zeros(len(long), dtype=int))
         new = solve_dead(S[long], mesh.dead, replace(mesh.options, attempts=1), start)
         best = best.improved(long, new, "restart")
     none = np.flatnonzero(~np.isfinite(best.h))
