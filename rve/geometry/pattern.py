@@ -109,8 +109,8 @@ def in_space(points: Array) -> Array:
 
 
 def supercell(weave: AnyPattern, nx: int, ny: int, centres: str = "plane") -> AnyPattern:
-    """The same weave with nx x ny independent primitive cells in one lattice cell, centres in the plane or in space, and
-    always in space where they do not lie in a plane: ring (class k, cell ix, iy) gets the class k + K (ix + nx iy).
+    """The same weave with nx x ny independent primitive cells in one lattice cell, centres in the plane or in space,
+    and always in space where they lie in no plane: ring (class k, cell ix, iy) gets the class k + K (ix + nx iy).
     """
     count = weave.classes
 

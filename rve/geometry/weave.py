@@ -22,8 +22,8 @@ from rve.common.cell_fields import Length
 from rve.common.ring_sizes import DEFAULT_RING
 from rve.common.texts import read_toml
 from rve.common.typed import not_one_of, read_typed
-from rve.geometry.pattern import Pattern, in_space
 from rve.geometry.contacts import find_contacts
+from rve.geometry.pattern import Pattern, in_space
 from rve.geometry.pose import Pose, mirror_modes, mirrored, moved, start_pose
 from rve.geometry.ring_pair import are_linked, local_minima
 from rve.geometry.slack import Link, flags_of, loosen, matched, near_pairs, once, thickest

@@ -165,7 +165,8 @@ def search(best: BestStates, sample: KnownStates, others: KnownStates | None = N
 
     Every load, in a thick cell every one that is narrow or has no state, is restarted from those of the sample that do
     most work under it; a narrow one from the slack pose as well, of thin wire from a random one, on a long path; then
-    all, as `climb` does, from those that do more than their own. A load that is still without a state starts from the slack pose.
+    all, as `climb` does, from those that do more than their own. A load that is still without a state starts from the
+    slack pose.
     """
     mesh, S = best.mesh, best.S
     low, high = eigenvalues(S)

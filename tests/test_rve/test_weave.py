@@ -37,7 +37,7 @@ def clearances(pose, weave, along=()):
             return np.hypot(z, np.sqrt(np.maximum((p * p).sum(axis=-1) - z * z, 0.0)) - b)
 
         f = distance(t)
-        if np.ptp(f) < 1e-6 and f[0] < 0.8 or any(pair == other for other, _ in along):
+        if (np.ptp(f) < 1e-6 and f[0] < 0.8) or any(pair == other for other, _ in along):
             at = np.array([place for other, place in along if other == pair]) if along else t[::400]
             found += [(int(pair), x, y / weave.pair_wires[pair]) for x, y in zip(at, distance(at), strict=True)]
             continue
