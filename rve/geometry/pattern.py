@@ -4,7 +4,7 @@ Rings of one class are lattice translates: ring (k, i, j) is at c_k + i a1 + j a
 """
 
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -95,7 +95,7 @@ class Pattern(ByValue):
         return not self.start_centres[:, 2:].any()
 
     @property
-    def centres(self) -> str:
+    def centres(self) -> Literal["plane", "space"]:
         """Where the centres of the rings may be, "plane" or "space"."""
         return "space" if self.start_centres.shape[1] == 3 else "plane"
 
