@@ -118,7 +118,8 @@ def doubled(rng, disturb):
 def test_doubled_rings_lie_in_two_layers(seed, disturb):
     """King's mail from rings roughly placed, also exactly upon each other; no start has room for thicker wire. In one
     plane doubled rings jam at 1.3 to 1.5 times the ratio."""
-    weave = Weave.from_rings(*doubled(np.random.default_rng(seed), disturb), centres="space")
+    lattice, rings = doubled(np.random.default_rng(seed), disturb)
+    weave = Weave.from_rings(lattice, rings, centres="space")
     known = WEAVES["kings-4-in-1"]
     assert weave.jamming_ratio == pytest.approx(known.jamming_ratio, rel=1e-6)
     assert (weave.classes, weave.centres, int(weave.linked.sum())) == (4, "space", 16)
