@@ -34,7 +34,7 @@ MOST_TABLES = 10_000
 FIT_FROM = 10
 """Rows from which a law is offered."""
 
-WEAVE_NAMES = ("4-in-1", "6-in-1", "8-in-1", "japanese-4-in-1", "japanese-6-in-1")
+WEAVE_NAMES = ("4-in-1", "6-in-1", "8-in-1", "japanese-4-in-1", "japanese-6-in-1", "kings-4-in-1")
 """The names in `rve.geometry.weave.WEAVES`, which NumPy need not be imported for."""
 
 FILE = click.Path(dir_okay=False, path_type=Path)

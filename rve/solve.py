@@ -13,7 +13,7 @@ from rve.geometry.cell import Cell, CellInfo, weave_axes
 from rve.geometry.contacts import unlisted_gap
 from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
 from rve.geometry.pose import Pose, mirror_modes
-from rve.locking.dead_load import DeadLoad, LoadedCell, solve_dead
+from rve.locking.dead_load import DeadLoad, LoadedCell, solve_dead, solve_stable
 from rve.locking.global_search import in_cell, sample_states
 from rve.locking.interior_point import DirectOptions, Equilibrium, LockedStates, solve_equilibrium
 from rve.locking.limits import with_limits
@@ -33,7 +33,7 @@ def locked_block(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectO
     tensile = np.asarray(np.all(principal[:, [0, 2]] >= 0.0, axis=1))
     solved = np.where(tensile[:, None], s, np.array([0.0, 0.0, 1.0]))
     equations = Equations.of(cell.weave, cell.wire)
-    found, unique = with_limits(solved, equations, solve_equilibrium(solved, equations, options), options)
+    found, unique = with_limits(solved, equations, solve_stable(solved, equations, options), options)
     found = mark_unlisted(found, cell)
     found = replace(found, status=np.where(tensile, found.status, "compressive").astype("<U16"))
     return LockedStates(found, s, unique | ~tensile, cell)

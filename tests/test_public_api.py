@@ -184,7 +184,7 @@ REFUSED = [
     (lambda: rve.write_table(None, "x.csv"), "table = None: expected StrainTable"),
     (lambda: rve.Cell(r1="5 mm"), "r1 = '5 mm': expected a number, got a text; write the number alone, in mm: 5"),
     (lambda: rve.Cell(material={"density": 5.0}), "is no Material, nor the name of one"),
-    (lambda: rve.Cell(weave="4in1"), "japanese-6-in-1, FILE.toml; did you mean 4-in-1?"),
+    (lambda: rve.Cell(weave="4in1"), "kings-4-in-1, FILE.toml; did you mean 4-in-1?"),
     (lambda: rve.Piece.cut(rve.Cell(), 40), "size = 40: expected a list of 2, got a whole number"),
     (lambda: rve.Piece.cut(rve.Cell(), (40, 40)).save("a.obj"), "give a name that ends in .3mf or .glb or .stl"),
     (lambda: rve.named_material("titanium"), "did you mean titanium grade"),

@@ -26,7 +26,7 @@ rve table -> Missing option '--out'
 rve table --out -> '--out' requires an argument
 rve table --out new.csv --ring -> No such option: --ring; did you mean --rings?
 rve table --out new.csv --{"a" * 999} -> No such option: --a
-rve table --out new.csv --weave 6in1 -> japanese-6-in-1, FILE.toml; did you mean 6-in-1?
+rve table --out new.csv --weave 6in1 -> kings-4-in-1, FILE.toml; did you mean 6-in-1?
 rve table --out new.csv --r1 '6 cm' -> '6 cm' is not a number; write the number alone, in mm: 60
 rve table --out new.csv --density '8 g/cm3' -> write the number alone, in kg/m3: 8000
 rve table --out new.csv --r2 0,5 -> '0,5' is not a number; has a decimal comma; write 0.5

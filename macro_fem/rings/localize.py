@@ -149,9 +149,7 @@ def place_rings(
     turn, ring = turns(curtain, sites.triangle, states.E[row], axes), sites.index[:, 0]
     corner = curtain.triangles[sites.triangle, 0]
     away = np.einsum("nxX,nX->nx", curtain.F[sites.triangle], sites.X - curtain.X[corner])
-    centre = padded(curtain.x[corner] + away) + np.einsum(
-        "nxy,ny->nx", turn[:, :, :2], offsets(states.pose, cell)[row, ring]
-    )
+    centre = padded(curtain.x[corner] + away) + np.einsum("nxy,ny->nx", turn, offsets(states.pose, cell)[row, ring])
     return centre, np.einsum("nxy,ny->nx", turn, states.pose.normals[row, ring])
 
 

@@ -334,6 +334,8 @@ class Problem:
                 raise InputError(f"{name}: has shape {np.shape(array)}, it must be ({n}, 3), one row per ring")
         if not np.isfinite([*force.ravel(), *self.at[self.held]]).all() or np.isinf(self.guide).any():
             raise InputError("force, places and guide must be finite numbers; nan in a guide is none")
+        if not (self.is_space or mesh.cell.weave.is_flat):
+            raise InputError(f"the centres of {mesh.cell.weave.name} lie in no plane: its rings are solved in space")
         if not np.abs(force).sum() > 0.0:
             raise InputError("the mesh carries no load, so that it has no shape; give it weight or a pull")
         on_bars = np.concatenate([*mesh.bars, np.zeros(0, dtype=np.intp)])

@@ -34,8 +34,9 @@ class Cell(Typed):
     chiral weave its mirror image), density in kg/mm3, material.
 
     `material` and `weave` may be names. cells: primitive cells along the weave's a1 and a2 whose rings move
-    independently, and centres: "plane" or "space", where the centres of rings may be; `rve.solve_table` and
-    `rve.support` look for the largest work there. All else is of the primitive cell with centres in the plane.
+    independently, and centres: "plane" or "space", where the centres of rings may be ("space" for a weave that has them
+    in no plane); `rve.solve_table` and `rve.support` look for the largest work there. All else is of the primitive cell
+    with centres in the plane, where they lie in one.
     `density` is the material's; one that is given is that of steel, of which no other material is named. InputError for
     values out of range, for wire too thick for the weave, and for a material with another density than the one given.
 
@@ -63,6 +64,8 @@ class Cell(Typed):
         if isinstance(self.weave, str):
             object.__setattr__(self, "weave", named_weave(self.weave))
         super().__post_init__()
+        if not self.weave.is_flat:
+            object.__setattr__(self, "centres", "space")
         if not isinstance(given, OfMaterial):
             object.__setattr__(self, "material", self._as_dense(is_named))
         object.__setattr__(self, "density", OfMaterial(self.material.density_kg_per_mm3))
@@ -108,8 +111,8 @@ class Cell(Typed):
 
     @property
     def is_larger(self) -> bool:
-        """Whether more than the planar primitive cell is asked for."""
-        return self.cells != (1, 1) or self.centres == "space"
+        """Whether more is asked for than the primitive cell with centres in the plane, where they lie in one."""
+        return self.cells != (1, 1) or (self.centres == "space" and self.weave.is_flat)
 
     @property
     def bound_note(self) -> str:

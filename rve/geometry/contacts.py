@@ -45,8 +45,8 @@ class CellContacts(Rows):
 
     @property
     def min_gap(self) -> Array:
-        """Smallest gap of each case, (n,)."""
-        return np.asarray(self.gap.reshape(len(self.gap), -1).min(axis=1))
+        """Smallest gap of each case, (n,), inf where no pair is near."""
+        return np.asarray(self.gap.reshape(len(self.gap), -1).min(axis=1, initial=np.inf))
 
 
 def find_contacts(pose: Pose, weave: Pattern, wire: float, reach: float) -> CellContacts:

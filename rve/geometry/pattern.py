@@ -4,7 +4,7 @@ Rings of one class are lattice translates: ring (k, i, j) is at c_k + i a1 + j a
 """
 
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -86,11 +86,16 @@ class Pattern(ByValue):
 
     @property
     def is_larger(self) -> bool:
-        """Whether this is more than the planar primitive cell."""
-        return self.repeat != (1, 1) or self.centres == "space"
+        """Whether this is more than the primitive cell with centres in the plane, where they lie in one."""
+        return self.repeat != (1, 1) or (self.centres == "space" and self.is_flat)
 
     @property
-    def centres(self) -> str:
+    def is_flat(self) -> bool:
+        """Whether all centres of the slack pose lie in one plane."""
+        return not self.start_centres[:, 2:].any()
+
+    @property
+    def centres(self) -> Literal["plane", "space"]:
         """Where the centres of the rings may be, "plane" or "space"."""
         return "space" if self.start_centres.shape[1] == 3 else "plane"
 
@@ -98,9 +103,14 @@ class Pattern(ByValue):
 AnyPattern = TypeVar("AnyPattern", bound=Pattern)
 
 
+def in_space(points: Array) -> Array:
+    """Points (..., 2 or 3) as (..., 3), those of a plane at the height 0."""
+    return np.concatenate([points, np.zeros((*points.shape[:-1], 3 - points.shape[-1]))], axis=-1)
+
+
 def supercell(weave: AnyPattern, nx: int, ny: int, centres: str = "plane") -> AnyPattern:
-    """The same weave with nx x ny independent primitive cells in one lattice cell, centres in the plane or in space:
-    ring (class k, cell ix, iy) gets the class k + K (ix + nx iy).
+    """The same weave with nx x ny independent primitive cells in one lattice cell, centres in the plane or in space,
+    and always in space where they lie in no plane: ring (class k, cell ix, iy) gets the class k + K (ix + nx iy).
     """
     count = weave.classes
 
@@ -116,14 +126,15 @@ def supercell(weave: AnyPattern, nx: int, ny: int, centres: str = "plane") -> An
     ]
     x2, y3, t = weave.start_lattice
     a1, a2 = np.array([x2, t * x2]), np.array([t * y3, y3])
-    places = np.array([centre[:2] + ix * a1 + iy * a2 for ix, iy in cells for centre in weave.start_centres])
+    centres_of = weave.start_centres
+    places = np.array([np.append(c[:2] + ix * a1 + iy * a2, c[2:]) for ix, iy in cells for c in centres_of])
     return replace(
         weave,
         pairs=np.array(pairs),
         linked=np.repeat(weave.linked, len(cells)),
         rings=np.array([(k, i, j) for k in range(count * nx * ny) for i in range(2) for j in range(2)]),
         start_lattice=np.array([nx * x2, ny * y3, t]),
-        start_centres=np.pad(places, ((0, 0), (0, 1 if centres == "space" else 0))),
+        start_centres=in_space(places) if centres == "space" else places,
         start_normals=np.tile(weave.start_normals, (len(cells), 1)),
         radii=np.tile(weave.radii, len(cells)),
         wires=np.tile(weave.wires, len(cells)),

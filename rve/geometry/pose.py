@@ -12,7 +12,7 @@ from scipy.linalg import qr
 
 from rve.common import Array, Index, Rows
 from rve.geometry.kinematics import green_lagrange
-from rve.geometry.pattern import Pattern
+from rve.geometry.pattern import Pattern, in_space
 from rve.geometry.ring_pair import dot, tangent_frame, turned
 
 
@@ -69,10 +69,9 @@ def tiled(pose: Pose, weave: Pattern) -> Pose:
     ny = min(times, weave.repeat[1])
     cells = [(ix, iy) for iy in range(ny) for ix in range(times // ny)]
     places = [pose.centres[..., :2] + (ix * pose.a1 + iy * pose.a2)[:, None] for ix, iy in cells]
-    centres = np.zeros((len(pose.lattice), *weave.start_centres.shape))
-    centres[..., :2] = np.concatenate(places, axis=1)
-    if pose.centres.shape[2] == 3:
-        centres[..., 2] = np.tile(pose.centres[..., 2], len(cells))
+    heights = np.tile(pose.centres[..., 2:], (1, len(cells), 1))
+    centres = np.concatenate([np.concatenate(places, axis=1), heights], axis=2)
+    centres = in_space(centres) if weave.centres == "space" else centres
     return Pose(pose.lattice * [times // ny, ny, 1.0], centres, np.tile(pose.normals, (1, len(cells), 1)))
 
 
@@ -90,19 +89,20 @@ def mirror_modes(weave: Pattern) -> Array:
     """Motions (m, k) that keep the mirror image of the cell, `Pattern.images`: of 4-in-1 both sides, rows along y with
     rings in their share of the cell along x, tilts about x.
     """
-    k, m, (x2, y3, _) = weave.classes, weave.coordinates, weave.start_lattice
+    (k, dims), m, (x2, y3, _) = weave.start_centres.shape, weave.coordinates, weave.start_lattice
+    tilts = m - 2 * k
     image, sign = np.zeros((m, m)), float(weave.mirror.prod())
     image[[0, 1, 2], [0, 1, 2]] = 1.0, 1.0, -1.0
-    place, a1, a2 = np.zeros((k, 2, m)), np.zeros((2, m)), np.zeros((2, m))
+    place, a1, a2 = np.zeros((k, dims, m)), np.zeros((2, m)), np.zeros((2, m))
     a1[[0, 1], [0, 2]], a2[[1, 0], [1, 2]] = (1.0, -x2), (1.0, -y3)  # at the start, which is upright
     frames = np.stack(tangent_frame(weave.start_normals), axis=2)
     for ring, (other, i, j) in enumerate(weave.images):
-        place[other] = -i * a1 - j * a2
+        place[other, :2] = -i * a1 - j * a2
         if ring:
-            place[other][[0, 1], [1 + 2 * ring, 2 + 2 * ring]] += weave.mirror[:2]
-        turn = slice(1 + 2 * k + 2 * ring, 3 + 2 * k + 2 * ring), slice(1 + 2 * k + 2 * other, 3 + 2 * k + 2 * other)
+            place[other, :, 3 + dims * (ring - 1) : 3 + dims * ring] += np.diag(weave.mirror[:dims])
+        turn = slice(tilts + 2 * ring, tilts + 2 * ring + 2), slice(tilts + 2 * other, tilts + 2 * other + 2)
         image[turn[1], turn[0]] = sign * (frames[other].T * weave.mirror) @ frames[ring]
-    image[3 : 2 * k + 1] = (place - place[0])[1:].reshape(-1, m)
+    image[3:tilts] = (place - place[0])[1:].reshape(-1, m)
     kept = 0.5 * (np.eye(m) + image)
     _, sizes, pivot = qr(kept, pivoting=True)
     return np.asarray(kept[:, np.sort(pivot[: np.count_nonzero(np.abs(np.diag(sizes)) > 1e-9)])])

@@ -6,7 +6,7 @@ import numpy as np
 
 from rve.common import Array, Flags, Index
 from rve.geometry.contacts import distance_gradient, find_contacts
-from rve.geometry.pattern import Pattern
+from rve.geometry.pattern import Pattern, in_space
 from rve.geometry.pose import Pose, moved, pair_maps, reduction, start_pose
 
 LARGEST_STEP, LEAST_STEP = 0.05, 1e-11
@@ -85,15 +85,16 @@ def once(link: Sequence[int]) -> Link:
 
 
 def matched(pattern: Pattern, other: Pattern, signs: Array, shift: Array, tolerance: float = 0.35) -> list[Ring] | None:
-    """The rings of `other` that rings (k, 0, 0) of a pattern come to lie on by x -> signs x + shift (2,) in their start
-    poses, None if links or sizes differ. Rings may lie `tolerance` times their radius beside each other."""
+    """The rings of `other` that rings (k, 0, 0) of a pattern come to lie on by x -> signs x + shift (2 or 3,) in their
+    start poses, None if links or sizes differ. Rings may lie `tolerance` times their radius beside each other."""
     pose, rings = start_pose(other, 1), []
-    lattice, centres, normals = np.stack([pose.a1[0], pose.a2[0]]), pose.centres[0, :, :2], pose.normals[0]
-    there = pattern.start_centres * signs[:2] + shift
+    lattice, centres, normals = np.stack([pose.a1[0], pose.a2[0]]), in_space(pose.centres[0]), pose.normals[0]
+    there = in_space(pattern.start_centres) * signs + in_space(shift)
     for k, normal in enumerate(pattern.start_normals * signs):
-        off = (there[k] - centres) @ np.linalg.inv(lattice)
-        whole = np.round(off)
-        apart = np.linalg.norm((off - whole) @ lattice, axis=1) / other.radii + 2.0 * (1.0 - np.abs(normals @ normal))
+        off = there[k] - centres
+        whole = np.round(off[:, :2] @ np.linalg.inv(lattice))
+        off[:, :2] -= whole @ lattice
+        apart = np.linalg.norm(off, axis=1) / other.radii + 2.0 * (1.0 - np.abs(normals @ normal))
         same = np.isclose(other.radii, pattern.radii[k]) & np.isclose(other.wires, pattern.wires[k])
         apart[~same] = np.inf
         ring = int(apart.argmin())

@@ -10,8 +10,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
+from operator import itemgetter
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta
@@ -21,8 +22,9 @@ from rve.common.cell_fields import Length
 from rve.common.ring_sizes import DEFAULT_RING
 from rve.common.texts import read_toml
 from rve.common.typed import not_one_of, read_typed
-from rve.geometry.pattern import Pattern
-from rve.geometry.pose import Pose, mirror_modes, mirrored, start_pose
+from rve.geometry.contacts import find_contacts
+from rve.geometry.pattern import Pattern, in_space
+from rve.geometry.pose import Pose, mirror_modes, mirrored, moved, start_pose
 from rve.geometry.ring_pair import are_linked, local_minima
 from rve.geometry.slack import Link, flags_of, loosen, matched, near_pairs, once, thickest
 
@@ -33,6 +35,8 @@ WITHIN = 3.2
 japanese-6-in-1 meet at r1/r2 = 96 that are more than 3.0 apart there."""
 SAME = 1e-6
 """Relative difference of the thickest wire by which a smaller or symmetric cell may fall short of the one drawn."""
+DISTURBED = 0.02
+"""Largest change of a coordinate, in r1 or radians, of a second start for rings in space."""
 SYMMETRIES = ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (-1.0, 1.0, -1.0), (1.0, -1.0, -1.0))
 """Mirrors and half turns that exchange shears of both signs."""
 Coordinate = Annotated[float, Meta(ge=-1e4, le=1e4, title="mm")]
@@ -56,13 +60,15 @@ class PlacedRing(Typed):
 
 @dataclass(frozen=True)
 class Drawing(Typed):
-    """A weave as text has it: lattice vectors a1, a2 in mm and the rings of one cell. planar_ratio: see `Pattern`."""
+    """A weave as text has it: lattice vectors a1, a2 in mm and the rings of one cell. centres: whether they all come to
+    lie in one plane, or move in "space", as those of doubled rings do. planar_ratio: see `Pattern`."""
 
     name: Annotated[str, Meta(min_length=1, max_length=60)]
     lattice: tuple[tuple[Coordinate, Coordinate], tuple[Coordinate, Coordinate]]
     ring: tuple[PlacedRing, ...]
     pairs: tuple[tuple[int, int, int, int], ...] = ()
     planar_ratio: float | None = None
+    centres: Literal["plane", "space"] = "plane"
 
 
 class Weave(Pattern):
@@ -79,25 +85,29 @@ class Weave(Pattern):
 
     @classmethod
     def from_rings(
-        cls, lattice: Sequence[Sequence[float]], rings: Sequence[Mapping[str, Any]], name: str = "own"
+        cls,
+        lattice: Sequence[Sequence[float]],
+        rings: Sequence[Mapping[str, Any]],
+        name: str = "own",
+        centres: Literal["plane", "space"] = "plane",
     ) -> Weave:
         """The weave of rings roughly placed, in mm: lattice vectors a1 and a2, and of each ring of a cell its centre
-        (x, y, z), normal, r1 and r2. Their links count; distances and angles become those of largest clearance.
+        (x, y, z), normal, r1 and r2. Their links count; distances and angles become those of largest clearance, with
+        all centres in one plane, or in "space".
 
         InputError, one sentence with the numbers of the rings, for what is no sheet of interlinked rings.
         """
-        return woven(read_typed(Drawing, {"name": name, "lattice": lattice, "ring": _placed(rings)}, "weave"))
+        table = {"name": name, "lattice": lattice, "ring": _placed(rings), "centres": centres}
+        return woven(read_typed(Drawing, table, "weave"))
 
     def drawing(self, r1: float, r2: float) -> Drawing:
         """The slack pose as text, for radii of the first ring in mm."""
         pose = start_pose(self, 1)
-        sizes = zip(pose.centres[0], pose.normals[0].tolist(), self.radii.tolist(), self.wires.tolist(), strict=True)
-        rings = [
-            PlacedRing((float(r1 * c[0]), float(r1 * c[1]), 0.0), (n[0], n[1], n[2]), r1 * a, r2 * w)
-            for c, n, a, w in sizes
-        ]
+        places = (r1 * in_space(pose.centres[0])).tolist(), pose.normals[0].tolist()
+        sizes = zip(*places, self.radii.tolist(), self.wires.tolist(), strict=True)
+        rings = [PlacedRing((x, y, z), (n[0], n[1], n[2]), r1 * a, r2 * w) for (x, y, z), n, a, w in sizes]
         a1, a2 = ((float(r1 * a[0, 0]), float(r1 * a[0, 1])) for a in (pose.a1, pose.a2))
-        return Drawing(self.name, (a1, a2), tuple(rings))
+        return Drawing(self.name, (a1, a2), tuple(rings), centres=self.centres)
 
 
 def _placed(rings: Any) -> tuple[PlacedRing, ...]:
@@ -152,7 +162,7 @@ def woven(drawing: Drawing, is_slack: bool = False) -> Weave:
         links = {once(link) for link in weave.pairs[weave.linked]}
         planar = weave.planar_ratio if drawing.planar_ratio is None else drawing.planar_ratio
         return _known(replace(weave, pairs=listed, linked=flags_of(listed, links), planar_ratio=planar))
-    free, first = _in_pose(weave, *loosen(weave)), drawing.ring[0]
+    free, first = _in_pose(weave, *_loosest(weave)), drawing.ring[0]
     if not first.r1 / first.r2 > free.jamming_ratio:
         raise InputError(
             f"ring 1: r2 = {first.r2:g} is too thick, the rings overlap in every pose; it is at most "
@@ -169,6 +179,20 @@ def woven(drawing: Drawing, is_slack: bool = False) -> Weave:
         if loose.jamming_ratio < (1.0 + SAME) * free.jamming_ratio:
             return _known(loose)
     return _known(free)
+
+
+def _loosest(weave: Weave) -> tuple[Pose, float]:
+    """`loosen`, of rings in space also from near the pose that is drawn: parallel rings drawn one upon the other touch
+    along all of a line, of which no step leads away."""
+    poses = [loosen(weave)]
+    if not weave.is_flat:
+        rng, start = np.random.default_rng(0), start_pose(weave, 1)
+        near = moved(start, DISTURBED * rng.uniform(-1.0, 1.0, (1, weave.coordinates)))
+        parts = near.lattice[0], near.centres[0], near.normals[0]
+        other = replace(weave, **dict(zip(("start_lattice", "start_centres", "start_normals"), parts, strict=True)))
+        links = find_contacts(near, weave, 0.0, 0.1).links_intact[0]
+        poses += [loosen(other)] if links else []
+    return min(poses, key=itemgetter(1))
 
 
 def _read_off(drawing: Drawing) -> Weave:
@@ -207,15 +231,15 @@ def _read_off(drawing: Drawing) -> Weave:
             "net in space, and a sheet has all its centres near one plane"
         )
     links = _links(lattice, centres, normals, radii)
-    flat = centres * [1.0, 1.0, 0.0]
+    flat = centres * [1.0, 1.0, 0.0] if drawing.centres == "plane" else centres
     for a, b, *_ in links ^ _links(lattice, flat, normals, radii):
         raise InputError(
             f"rings {a + 1} and {b + 1} interlink in another way once all centres are in one plane; place them nearer "
-            "to it"
+            'to it, or say centres = "space"'
         )
     _check_sheet(links, len(rings))
     start = np.array([lattice[0, 0], lattice[1, 1], np.tan(lean)])
-    return _weave(drawing.name, start, flat[:, :2], normals, radii, wires, links)
+    return _weave(drawing.name, start, flat[:, : 3 if flat[:, 2].any() else 2], normals, radii, wires, links)
 
 
 def _links(lattice: Array, centres: Array, normals: Array, radii: Array) -> set[Link]:
@@ -266,7 +290,7 @@ def _weave(
     """The weave with these links, whose pairs are those within reach in this pose."""
     a1, a2 = np.array([1.0, lattice[2]]) * lattice[0], np.array([lattice[2], 1.0]) * lattice[1]
     centres = centres - centres[0]
-    near = near_pairs(np.stack([a1, a2]), np.pad(centres, ((0, 0), (0, 1))), WITHIN * (radii[:, None] + radii))
+    near = near_pairs(np.stack([a1, a2]), in_space(centres), WITHIN * (radii[:, None] + radii))
     far = links - {once(pair) for pair in near}
     pairs = np.concatenate([near, np.array(sorted(far), dtype=int).reshape(-1, 4)])
     # Two cells along a1 and a2, with the next row of the first class, as in the paper.
@@ -278,12 +302,14 @@ def _in_pose(weave: Weave, pose: Pose, jamming_ratio: float) -> Weave:
     """The weave with this start pose (n = 1); its rings are those in the cell, unless they are known as images."""
     lattice, whole = np.stack([pose.a1[0], pose.a2[0]]), np.zeros((weave.classes, 2), dtype=int)
     if not weave.is_mirrored:
-        whole = np.floor(pose.centres[0] @ np.linalg.inv(lattice) + 1e-6).astype(int)
+        whole = np.floor(pose.centres[0, :, :2] @ np.linalg.inv(lattice) + 1e-6).astype(int)
     links = {
         once((a, b, i + whole[b, 0] - whole[a, 0], j + whole[b, 1] - whole[a, 1]))
         for a, b, i, j in weave.pairs[weave.linked]
     }
-    centres = pose.centres[0] - whole @ lattice
+    centres = pose.centres[0].copy()
+    centres[:, :2] -= whole @ lattice
+    centres = centres[:, : 3 if np.abs(centres[:, 2:]).max(initial=0.0) > SAME else 2]
     placed = _weave(weave.name, pose.lattice[0], centres, pose.normals[0], weave.radii, weave.wires, links)
     return replace(placed, jamming_ratio=jamming_ratio, mirror=weave.mirror, images=weave.images)
 
@@ -307,7 +333,8 @@ def _divided(weave: Weave, axis: int, count: int) -> Weave | None:
             place = -shift
             place[axis] = count * place[axis] + step
             names[ring] = len(firsts), place
-            places.append(pose.centres[0, ring] + shift @ lattice - step / count * lattice[axis])
+            places.append(pose.centres[0, ring].copy())
+            places[-1][:2] += shift @ lattice - step / count * lattice[axis]
             normal = pose.normals[0, ring]
             turns.append(normal * np.sign(normal @ pose.normals[0, first]))
             ring, *more = rings[ring]

@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from rve.common import Array
+from rve.common import Array, Index
 from rve.common.tensor import trace
 from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.contacts import parallel_clearance
 from rve.geometry.kinematics import deformation_gradient, second_pk
 from rve.geometry.pose import Pose, start_pose
 from rve.locking.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
-from rve.locking.limits import polish, shortest
+from rve.locking.limits import loose_motions, polish, shortest
 from rve.locking.system import Equations, on_coordinates
 
 
@@ -38,6 +38,12 @@ class RestartOptions:
     """Steps of a random walk from the slack pose, and the largest of them in r1 and radians."""
     start_gap: float = 1e-3
     """Gaps in r1 that random poses keep."""
+    unstable: float = -1e-6
+    """Stiffness in s r1^2 below which a motion gives way."""
+    wide: float = 1e-2
+    """First complementarity beside a balance that gives way: rings go far from there."""
+    push: float = 0.06
+    """Largest displacement of a start along such a motion, in radii of the wire: no ring passes another."""
 
 
 RESTART = RestartOptions()
@@ -89,7 +95,7 @@ def solve_dead(S: Array, equations: Equations, options: DirectOptions, start: Po
     the cell along a curved valley, which steps with second-order corrections follow: they are tried next.
     """
     first = _once(options, shrink=0.3, max_iterations=options.max_iterations + 50)
-    found = solve_equilibrium(S, equations, first, start)
+    found = beside_saddles(solve_equilibrium(S, equations, first, start), S, equations, options)
     left = np.flatnonzero(found.status != "converged")
     if len(left) and options.attempts > 1:
         slower = replace(_patient(options), attempts=2, max_iterations=2 * options.max_iterations)
@@ -136,12 +142,51 @@ def restart(loads: Array, equations: Equations, start: Pose, margin: float, opti
     return solve_equilibrium(loads, equations, near, open_gaps(start, equations, margin))
 
 
+def solve_stable(loads: Array, equations: Equations, options: DirectOptions) -> Equilibrium:
+    """Locked states under line loads from the slack pose, or beside it where its path ends in one that gives way."""
+    found = solve_equilibrium(loads, equations, replace(options, attempts=1))
+    found = beside_saddles(found, loads, equations, options)
+    left = np.flatnonzero(found.status != "converged")
+    if len(left) and options.attempts > 1:
+        found = found.put(left, solve_equilibrium(loads[left], equations, options))
+    return found
+
+
+def beside_saddles(found: Equilibrium, loads: Array, equations: Equations, options: DirectOptions) -> Equilibrium:
+    """The equilibria, with those that have stalled at a balance which gives way, as of rings that may buckle to either
+    side, replaced by the ones that a push leads to. The path to such a balance converges linearly at best."""
+    left = np.flatnonzero(found.status == "stalled")
+    if not len(left) or not options.max_iterations:
+        return found
+    s = unit_loads(loads) if equations.is_relative else loads
+    near = polish(found.last.take(left), equations, s[left])
+    rows, ways = ways_down(near, s[left], equations, 1)
+    if not len(rows):
+        return found
+    start = open_gaps(equations.moved(near.pose.take(rows), ways), equations, RESTART.near_margin)
+    slow = replace(_patient(options), mu_start=RESTART.wide, corrections=options.corrections)
+    new = solve_equilibrium(s[left[rows]], equations, slow, start)
+    good = np.flatnonzero(new.status == "converged")
+    new = replace(new, iterations=new.iterations + found.iterations[left[rows]])
+    return found.put(left[rows[good]], new.take(good))
+
+
+def ways_down(found: Equilibrium, s: Array, equations: Equations, most: int) -> tuple[Index, Array]:
+    """Rows (k,) of locked states that give way, and displacements (k, m) along their softest motions, up to `most`."""
+    rows, ways = [np.zeros(0, dtype=int)], [np.zeros((0, equations.modes.shape[1]))]
+    for i, stiffness, motions in loose_motions(equations, found, s):
+        gives = motions.T[np.flatnonzero(stiffness < RESTART.unstable)[:most]]
+        rows.append(np.full(len(gives), i))
+        ways.append(RESTART.push * equations.thinnest * gives / np.abs(gives).max(axis=1, keepdims=True))
+    return np.concatenate(rows), np.concatenate(ways)
+
+
 def restart_patiently(
     loads: Array, equations: Equations, start: Pose, options: DirectOptions, margin: float = RESTART.margins[0]
 ) -> Equilibrium:
     """`restart`; loads that stall, as of rank one do, from gaps of 1e-6 and along curved valleys, and if these lead
     nowhere by Newton's method with the contacts that are closed."""
-    found = restart(loads, equations, start, margin, options)
+    found = beside_saddles(restart(loads, equations, start, margin, options), loads, equations, options)
     left = np.flatnonzero(found.status != "converged")
     if len(left) and options.max_iterations:
         slower = replace(_patient(options), mu_start=RESTART.margins[1], max_iterations=200)

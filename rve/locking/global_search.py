@@ -18,9 +18,9 @@ from rve.common import Array, Index, Rows
 from rve.common.tensor import WEIGHT, double_dot, eigenvalues, from_disc, mirror
 from rve.geometry.cell import Cell
 from rve.geometry.pose import Pose, mirrored, strain_of, tiled
-from rve.locking.dead_load import RESTART, LoadedCell, random_poses, restart, solve_dead
+from rve.locking.dead_load import RESTART, LoadedCell, random_poses, restart, solve_dead, ways_down
 from rve.locking.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
-from rve.locking.limits import balanced, loose_motions
+from rve.locking.limits import balanced
 from rve.locking.system import Equations
 
 
@@ -47,13 +47,10 @@ class SearchOptions:
     """Ratio of principal loads below which a quick search restarts a load that has a state."""
     rounds: int = 6
     """Rounds of restarts at most; a load that is still below a known state then has the status "below"."""
-    unstable: float = -1e-6
     modes: int = 3
-    """Stiffness in s r1^2 below which a motion gives way, and how many of a state are followed, the softest ones."""
-    push: float = 0.06
+    """How many of the motions that give way are followed, the softest ones."""
     disturbed: float = 0.2
-    """Largest displacement of a start along a motion, and of one at random, in radii of the wire: none passes
-    another."""
+    """Largest displacement of a start at random, in radii of the wire: none passes another."""
 
 
 SEARCH = SearchOptions()
@@ -167,8 +164,9 @@ def search(best: BestStates, sample: KnownStates, others: KnownStates | None = N
     """The states of largest work: better than `best` wherever restarts from those of `sample` or `others` lead to one.
 
     Every load, in a thick cell every one that is narrow or has no state, is restarted from those of the sample that do
-    most work under it; a narrow one of thin wire from a random pose as well, on a long path; then all, as `climb`
-    does, from those that do more than their own. A load that is still without a state starts from the slack pose.
+    most work under it; a narrow one from the slack pose as well, of thin wire from a random one, on a long path; then
+    all, as `climb` does, from those that do more than their own. A load that is still without a state starts from the
+    slack pose.
     """
     mesh, S = best.mesh, best.S
     low, high = eigenvalues(S)
@@ -180,9 +178,9 @@ def search(best: BestStates, sample: KnownStates, others: KnownStates | None = N
         each = np.repeat(rows, first.shape[1])
         new = restart(S[each], mesh.dead, sample.pose.take(first.ravel()), RESTART.near_margin, mesh.options)
         best = best.improved(each, new, "restart")
-    long = np.flatnonzero(is_narrow & (not quick))
+    long = np.flatnonzero(is_narrow)
     if len(long):
-        start = random_poses(mesh.dead, 1).take(np.zeros(len(long), dtype=int))
+        start = None if quick else random_poses(mesh.dead, 1).take(np.zeros(len(long), dtype=int))
         new = solve_dead(S[long], mesh.dead, replace(mesh.options, attempts=1), start)
         best = best.improved(long, new, "restart")
     none = np.flatnonzero(~np.isfinite(best.h))
@@ -228,11 +226,8 @@ def states_beyond(pose: Pose, S: Array, mesh: LoadedCell) -> KnownStates:
     way = np.random.default_rng(0).uniform(-1.0, 1.0, (len(S), equations.modes.shape[1]))
     way[:, :3] = 0.0
     rows, ways = [np.arange(len(S))], [SEARCH.disturbed * equations.thinnest * way]
-    for i, stiffness, motions in loose_motions(equations, balanced(pose, s, equations), s):
-        gives = motions.T[np.flatnonzero(stiffness < SEARCH.unstable)[: SEARCH.modes]]
-        rows.append(np.full(len(gives), i))
-        ways.append(SEARCH.push * equations.thinnest * gives / np.abs(gives).max(axis=1, keepdims=True))
-    row, way = np.concatenate(rows), np.concatenate(ways)
+    giving, pushes = ways_down(balanced(pose, s, equations), s, equations, SEARCH.modes)
+    row, way = np.concatenate([*rows, giving]), np.concatenate([*ways, pushes])
     here = pose.take(row)
     start = equations.moved(here, way)
     new = restart(S[row], equations, start, RESTART.near_margin, mesh.options)

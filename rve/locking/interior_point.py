@@ -60,7 +60,8 @@ class DirectOptions(Typed):
 @dataclass(frozen=True)
 class Equilibrium(Rows):
     """Locked poses of n load cases in r1 and how they were found: lam (n, p, SLOTS), contact forces in s r1; contacts:
-    where they act; R (n,): weighted residual; iterations (n,) over all attempts; status (n,): name of the outcome.
+    where they act; R (n,): weighted residual; iterations (n,) over all attempts; status (n,): name of the outcome;
+    last: where the iteration of a case ended, converged or not.
     """
 
     pose: Pose
@@ -70,6 +71,7 @@ class Equilibrium(Rows):
     iterations: Index
     status: NDArray[np.str_]
     attempts: Index
+    last: Pose
 
 
 @dataclass(frozen=True)
@@ -204,7 +206,7 @@ def solve_equilibrium(
     nan, iterations = np.full(len(s), np.nan), np.zeros(len(s), dtype=int)
     stalled = np.full(len(s), "stalled", dtype="<U16")
     tries = np.full(len(s), options.attempts)
-    found = Equilibrium(first, np.zeros(contacts.gap.shape), contacts, nan, iterations, stalled, tries)
+    found = Equilibrium(first, np.zeros(contacts.gap.shape), contacts, nan, iterations, stalled, tries, first)
     left, tuned = np.arange(len(s)), options
     for attempt in range(options.attempts):
         pose = first.take(left)
@@ -223,9 +225,10 @@ def solve_equilibrium(
         finished, rest = iterate_to_end(state, equations, tuned)
         for part in finished:
             tries, status = np.full(len(part.row), attempt + 1), np.full(len(part.row), "converged", dtype="<U16")
-            done = Equilibrium(part.pose, part.lam, part.contacts, part.R, part.iterations, status, tries)
+            done = Equilibrium(part.pose, part.lam, part.contacts, part.R, part.iterations, status, tries, part.pose)
             found = found.put(part.row, done)
         left, iterations = rest.row, rest.iterations
+        found = replace(found, last=found.last.put(left, rest.pose))
         if not len(left):
             return found
     total = found.iterations.copy()

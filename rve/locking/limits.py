@@ -80,9 +80,9 @@ def limit_equilibrium(s: Array, equations: Equations, options: DirectOptions) ->
     last = np.take_along_axis(gaps, np.maximum(loaded - 1, 0)[..., None], axis=2)[..., 0]
     widest = np.where((loaded > 0) & np.isfinite(last), np.abs(last), 0.0).max(axis=1)
     end = polish(polish(guess, equations, s, 1.5 * widest + 1e-6).pose, equations, s)
-    # Newton's steps may drift along the free mode: then the guess was too far away.
+    # Newton's steps may drift along the free mode: then the guess was too far away. Gaps under small forces are 1e-9.
     change = np.abs(found.pose.lattice - three[-2].pose.lattice).max(axis=1)
-    stays = np.abs(end.pose.lattice - guess.lattice).max(axis=1) < np.maximum(0.5 * change, 1e-9)
+    stays = np.abs(end.pose.lattice - guess.lattice).max(axis=1) < np.maximum(0.5 * change, 1e-8)
     known = np.all([part.status == "converged" for part in three], axis=0)
     status = np.where(known & (end.status == "converged") & stays, "converged", "no-limit").astype("<U16")
     iterations += np.sum([part.iterations for part in three], axis=0)
@@ -121,7 +121,7 @@ def balanced(pose: Pose, s: Array, equations: Equations, reach: float | Array = 
     contacts, none = equations.contacts(pose), np.zeros(len(s), dtype=int)
     lam, system = contact_forces(pose, contacts, equations, s, reach)
     status = np.full(len(s), "converged", dtype="<U16")
-    return Equilibrium(pose, lam, contacts, system.weighted_residual, none, status, none)
+    return Equilibrium(pose, lam, contacts, system.weighted_residual, none, status, none, pose)
 
 
 def polish(pose: Pose, equations: Equations, s: Array, reach: float | Array = 1e-5, steps: int = 4) -> Equilibrium:

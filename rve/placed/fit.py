@@ -7,6 +7,7 @@ import numpy as np
 
 from rve.common import Array, ByValue, Flags, Index, checked
 from rve.geometry.cell import Cell
+from rve.geometry.pattern import in_space
 from rve.geometry.pose import Pose, start_pose
 from rve.geometry.ring_pair import are_linked, dot, local_minima
 from rve.geometry.weave import Weave
@@ -30,7 +31,7 @@ def axes_of_weave(cell: Cell, hang_deg: float) -> Array:
 def shares(pose: Pose) -> Array:
     """Centres of rings as shares (n, K, 2) of the two lattice vectors; zero for the first class."""
     A = np.stack([pose.a1, pose.a2], axis=2)
-    return np.asarray(np.linalg.solve(A[:, None], pose.centres[..., None])[..., 0])
+    return np.asarray(np.linalg.solve(A[:, None], pose.centres[..., :2, None])[..., 0])
 
 
 @checked
@@ -41,9 +42,10 @@ def reference_shares(cell: Cell) -> Array:
 
 @checked
 def offsets(pose: Pose, cell: Cell) -> Array:
-    """Distances (n, K, 2) in mm of the rings of poses from their reference lattice points, in weave axes."""
+    """Ways (n, K, 3) in mm to the rings of poses from their reference lattice points, in weave axes."""
     off = shares(pose) - reference_shares(cell)
-    return np.asarray(cell.r1 * (off[..., :1] * pose.a1[:, None] + off[..., 1:] * pose.a2[:, None]))
+    flat = off[..., :1] * pose.a1[:, None] + off[..., 1:] * pose.a2[:, None]
+    return cell.r1 * np.concatenate([flat, in_space(pose.centres)[..., 2:]], axis=2)
 
 
 @dataclass(frozen=True, eq=False)

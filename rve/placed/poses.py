@@ -23,6 +23,7 @@ from rve.common.tensor import WEIGHT, dyad, eigenvalues
 from rve.directions import product
 from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.kinematics import lattice_strain
+from rve.geometry.pattern import in_space
 from rve.geometry.pose import Pose, mirrored
 from rve.geometry.ring_pair import cross, dot, tangent_frame
 from rve.locking.dead_load import DeadLoad
@@ -76,12 +77,13 @@ class LockedArrangements(ByValue):
     sides: tuple[float, float]
 
     def arrangement(self, E: Array) -> Array:
-        """Rows (n, 3 + 2 (K - 1) + 3 K) of springs that pull to strains E (n, 3) and the arrangement at them: E*, the
-        shares (i, j) of the lattice vectors of every class but the first, the normal of every class."""
+        """Rows (n, 3 + 3 (K - 1) + 3 K) of springs that pull to strains E (n, 3) and the arrangement at them: E*, the
+        shares (i, j) of the lattice vectors and the height of every class but the first, the normal of every class."""
         square = (self.E[None] - E[:, None]) ** 2 @ WEIGHT
         weight = 1.0 / (square + 1e-16) ** 2
         weight /= weight.sum(axis=1, keepdims=True)
-        share = np.einsum("nm,mkx->nkx", weight, shares(self.pose)[:, 1:])
+        place = np.concatenate([shares(self.pose), in_space(self.pose.centres)[..., 2:]], axis=2)
+        share = np.einsum("nm,mkx->nkx", weight, place[:, 1:])
         normal = np.einsum("nm,mkx->nkx", weight, self.pose.normals)
         normal /= np.linalg.norm(normal, axis=2, keepdims=True)
         return np.concatenate([E, share.reshape(len(E), -1), normal.reshape(len(E), -1)], axis=1)
@@ -189,23 +191,25 @@ class Spring:
 
     def __call__(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
         """The `rve.locking.system.Force`."""
-        n, k = pose.normals.shape[:2]
+        n, k, dims = pose.centres.shape
         E, dE = lattice_strain(pose.lattice, self.sides)
         g, H = split_response(E - s[:, :3], self.fold)
         f, J = DeadLoad(self.sides)(pose, T, -g / np.prod(self.sides))
         J[:, :3, :3] -= np.matmul(np.matmul(dE.transpose(0, 2, 1), WEIGHT[:, None] * H), dE)
         for ring in range(k - 1):
-            i, j = s[:, 3 + 2 * ring, None], s[:, 4 + 2 * ring, None]
-            delta = pose.centres[:, ring + 1] - i * pose.a1 - j * pose.a2
-            B = -(i[..., None] * T[:, 0:2] + j[..., None] * T[:, 2:4])
-            B[:, :, 3 + 2 * ring : 5 + 2 * ring] += np.eye(2)
+            i, j, height = (s[:, 3 + 3 * ring + axis, None] for axis in range(3))
+            start = np.concatenate([i * pose.a1 + j * pose.a2, height], axis=1)
+            delta = pose.centres[:, ring + 1] - start[:, :dims]
+            B = np.zeros((n, dims, T.shape[2]))
+            B[:, :2] = -(i[..., None] * T[:, 0:2] + j[..., None] * T[:, 2:4])
+            B[:, :, 3 + dims * ring : 3 + dims * (ring + 1)] += np.eye(dims)
             f -= self.weak * np.einsum("ni,nix->nx", delta, B)
             J -= self.weak * np.matmul(B.transpose(0, 2, 1), B)
-            add_lattice_curvature(J, self.weak * np.concatenate([i * delta, j * delta], axis=1))
-        target = s[:, 2 * k + 1 :].reshape(n, k, 3)
+            add_lattice_curvature(J, self.weak * np.concatenate([i * delta[:, :2], j * delta[:, :2]], axis=1))
+        target = s[:, 3 * k :].reshape(n, k, 3)
         along, diagonal = dot(pose.normals, target), np.einsum("nii->ni", J)
         for axis, e in enumerate(tangent_frame(pose.normals)):
-            columns = slice(2 * k + 1 + axis, None, 2)
+            columns = slice(T.shape[2] - 2 * k + axis, None, 2)
             f[:, columns] += self.weak * dot(cross(e, pose.normals), target)
             diagonal[:, columns] -= self.weak * along
         return f, J

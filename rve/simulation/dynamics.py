@@ -27,8 +27,9 @@ class SimulationOptions(Typed):
     Two are calibrated, see docs/explanation/paper_scheme.md: `rotational_damping` (the paper prints 0.1 kgm/s) and
     `load` (the paper states none).
 
-    damping: of each ring in kg/s; rotational_damping: in damping times r1^2, so that rings of every size tilt as fast
-    as they move; 4 is 100 kg mm2/s for r1 = 5 mm. stiffness of one contact in N/m = kg/s2: rings sink into each other
+    damping: of each ring in kg/s, of several sizes in proportion to their masses; rotational_damping: in damping times
+    the square of the ring's radius, so that rings of every size tilt as fast as they move; 4 is 100 kg mm2/s for
+    r1 = 5 mm. stiffness of one contact in N/m = kg/s2: rings sink into each other
     by load over stiffness, in r1. load: line load s_hat of the size 1, N/m; only the clock depends on it.
     friction: Coulomb's coefficient; directions: sides of the polygon that stands for the circle of friction forces,
     which is too small by up to 1 - cos(180 deg/directions), 2 % for 16.
@@ -85,17 +86,18 @@ class Dynamics:
         drag = options.damping / options.load
         # Every turn of a ring has the inertia of one about a diameter: about its axis damping outweighs inertia by
         # four powers of ten, and an isotropic inertia has no gyroscopic torque.
-        turns = options.rotational_damping / gyration_radius(1.0, cell.wire) ** 2
-        is_turn = np.arange(len(equations.mass)) >= turns_of(cell.weave, 0).start
+        weave, turns = cell.weave, np.ones(len(equations.mass))
+        for ring, (radius, wire) in enumerate(zip(weave.radii, cell.wire * weave.wires, strict=True)):
+            turns[turns_of(weave, ring)] = options.rotational_damping * (radius / gyration_radius(radius, wire)) ** 2
         return Dynamics(
             equations,
             options,
             ring_mass * equations.mass,
             np.asarray(np.linalg.inv(ring_mass * equations.mass), dtype=float),
-            drag * equations.mass * np.where(is_turn, turns, 1.0),
+            drag * equations.mass * turns,
             ring_mass,
-            options.stiffness / options.load * np.maximum(copies(cell.weave), 1),
-            place_maps(cell.weave, cell.weave.rings),
+            options.stiffness / options.load * np.maximum(copies(weave), 1),
+            place_maps(weave, weave.rings),
         )
 
     def velocities(self, pose: Pose) -> Array:

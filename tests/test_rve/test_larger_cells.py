@@ -13,7 +13,8 @@ from rve.common import WEIGHT, double_dot
 from rve.directions import product
 from rve.geometry import SIX_IN_ONE, moved, start_pose, strain_of, supercell, tiled, unlisted_gap, weave_sides
 from rve.locking import DeadLoad, Equations, unit_loads
-from rve.locking.global_search import SEARCH, in_cell
+from rve.locking.dead_load import RESTART
+from rve.locking.global_search import in_cell
 from rve.locking.limits import balanced, loose_motions
 from rve.solve import reference_sides
 
@@ -99,7 +100,7 @@ def test_states_give_way_out_of_the_plane_where_wire_is_thin(planar):
     equations = Equations.of(mesh.weave, THIN.wire, load=DeadLoad(weave_sides(mesh, (planar.b_x_mm, planar.b_y_mm))))
     found = balanced(tiled(planar.states.pose, mesh.weave), unit_loads(planar.S), equations)
     for _, stiffness, motions in loose_motions(equations, found, unit_loads(planar.S)):
-        across = motions[3:12, stiffness < SEARCH.unstable].reshape(3, 3, -1)[:, 2]
+        across = motions[3:12, stiffness < RESTART.unstable].reshape(3, 3, -1)[:, 2]
         assert not across.size or np.abs(across).max() > 0.01
 
 

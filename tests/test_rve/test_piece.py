@@ -8,7 +8,7 @@ import trimesh
 from lib3mf import get_wrapper
 from scipy.spatial import cKDTree
 
-from rve import Cell, InputError, Piece
+from rve import WEAVES, Cell, InputError, Piece
 from rve.placed import DrawnRings, write_solids
 from tests.commands import run
 
@@ -66,7 +66,7 @@ def linking_numbers(one, other):
     return (angle * sign).sum(axis=(1, 2)) / (4.0 * np.pi)
 
 
-@pytest.mark.parametrize("weave", ["4-in-1", "6-in-1"])
+@pytest.mark.parametrize("weave", ["4-in-1", "6-in-1", "kings-4-in-1"])
 @pytest.mark.parametrize("ending", ["3mf", "glb"])
 def test_another_program_finds_the_rings_links_and_clearance(ending, weave, tmp_path):
     path, cell = tmp_path / f"part.{ending}", Cell.of(inner=8, wire=1.2, weave=weave)
@@ -105,6 +105,15 @@ def test_all_rings_are_inside_the_size_and_as_many_as_columns_and_rows_have_room
     full = 1 + int((120.0 - 11.2) / pitch)
     short = 1 + int((120.0 - 11.2 - 0.5 * pitch) / pitch)
     assert len(piece.rings.centre) == sum((full, short)[k % 2] for k in range(rows))
+
+
+@pytest.mark.parametrize("name", WEAVES)
+def test_every_weave_of_the_catalogue_is_cut(name):
+    piece = Piece.cut(Cell(5.0, 4.0 / WEAVES[name].jamming_ratio, name), (60.0, 50.0), clearance=1.0)
+    assert piece.links > len(piece.rings.centre) > 20
+    assert piece.clearance_mm == pytest.approx(max(1.0, 2.0 / WEAVES[name].jamming_ratio), rel=1e-6)
+    assert piece.size_mm[0] < 60.0
+    assert piece.size_mm[1] < 50.0
 
 
 def test_two_sizes_of_rings_are_two_solids(tmp_path):

@@ -8,7 +8,9 @@ import pytest
 
 from rve import Cell, DirectOptions, InputError, LoadHistory, SimulationOptions, simulate, solve_table
 from rve.common import checksum
+from rve.geometry.pose import turns_of
 from rve.simulation import read_history
+from rve.simulation.dynamics import Dynamics
 from tests.commands import run
 
 FAST = SimulationOptions(h_max=10.0)
@@ -28,6 +30,17 @@ def test_random_cells_rest_where_the_direct_solver_locks_them(seed):
     assert locked.unique.all()
     assert pytest.approx(locked.E, abs=5e-6) == found.E
     assert np.abs(found.E).max() > 1e-3
+
+
+def test_rings_of_several_sizes_tilt_as_fast_as_they_move():
+    """Drag of a tilt is that of a motion of the ring's centre line by as much."""
+    cell = Cell(6.0, 0.6, "japanese-4-in-1")
+    dynamics = Dynamics.of(cell, SimulationOptions(damping=3.0, rotational_damping=5.0))
+    for ring, (radius, wire) in enumerate(zip(cell.weave.radii, cell.weave.wires, strict=True)):
+        places = int((cell.weave.rings[:, 0] == ring).sum())
+        expected = places * 3.0 / 2.5 * radius * wire**2 * 5.0 * radius**2
+        turns = turns_of(cell.weave, ring)
+        assert dynamics.drag[turns, turns] == pytest.approx(expected * np.eye(3))
 
 
 @pytest.mark.parametrize("centres", ["plane", "space"])

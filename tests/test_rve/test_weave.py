@@ -20,8 +20,9 @@ from rve.geometry import (
 from rve.locking import Equations, solve_equilibrium
 
 
-def clearances(pose, weave):
-    """Local minima of the distance of the centre circles over both wires, by sampling one circle and a line search."""
+def clearances(pose, weave, along=()):
+    """Local minima of the distance of the centre circles over both wires, by sampling one circle and a line search;
+    and the distances at the places `along`, or some of them all round parallel circles over each other."""
     found = []
     t = np.linspace(0.0, 2.0 * np.pi, 4000, endpoint=False)
     d, n_a, n_b = (part[0] for part in pair_geometry(pose, weave))
@@ -36,6 +37,10 @@ def clearances(pose, weave):
             return np.hypot(z, np.sqrt(np.maximum((p * p).sum(axis=-1) - z * z, 0.0)) - b)
 
         f = distance(t)
+        if (np.ptp(f) < 1e-6 and f[0] < 0.8) or any(pair == other for other, _ in along):
+            at = np.array([place for other, place in along if other == pair]) if along else t[::400]
+            found += [(int(pair), x, y / weave.pair_wires[pair]) for x, y in zip(at, distance(at), strict=True)]
+            continue
         for k in np.flatnonzero((f <= np.roll(f, 1)) & (f < np.roll(f, -1)) & (f < 0.8)):
             bracket = t[k] + np.array([-1.0, 1.0]) * (t[1] - t[0])
             least = minimize_scalar(distance, bounds=bracket, method="bounded", options={"xatol": 1e-11})
@@ -52,9 +57,10 @@ def test_start_pose_has_the_largest_clearance_and_it_is_the_jamming_limit(name):
     least = min(size for *_, size in clearances(start, weave))
     assert 1.0 / least == pytest.approx(weave.jamming_ratio, rel=1e-6)
     active = [(pair, at) for pair, at, size in clearances(start, weave) if size < least + 1e-6]
+    along = [(pair, at) for pair, at in active if sum(pair == other for other, _ in active) > 2]
 
     def sizes(way):
-        there = clearances(moved(start, way[None]), weave)
+        there = clearances(moved(start, way[None]), weave, along)
         apart = [[(abs(np.sin(0.5 * (at - t))), s) for p, t, s in there if p == pair] for pair, at in active]
         return np.array([min(one)[1] for one in apart])
 

@@ -101,6 +101,32 @@ def test_flat_rings_joined_by_small_ones_have_the_pitch_of_a_chain():
     assert table.cell.areal_mass_kg_per_m2 == pytest.approx(7.85 * volume / pitch**2, rel=1e-9)
 
 
+def doubled(rng, disturb):
+    """Rings of 4-in-1, each with one more upon it."""
+    drawing, rings = WEAVES["4-in-1"].drawing(5.0, 0.3), []
+    for ring in drawing.ring:
+        for side in (-0.4, 0.4):
+            centre = np.array(ring.centre) + side * np.array(ring.normal) + disturb * rng.uniform(-1.0, 1.0, 3)
+            normal = np.array(ring.normal) + 0.1 * disturb * rng.uniform(-1.0, 1.0, 3)
+            rings.append({"centre": centre, "normal": normal, "r1": 5.0, "r2": 0.3})
+    return drawing.lattice, rings
+
+
+@pytest.mark.parametrize(
+    ("seed", "disturb"), [(0, 0.0), *(pytest.param(seed, 0.3, marks=pytest.mark.slow) for seed in range(1, 6))]
+)
+def test_doubled_rings_lie_in_two_layers(seed, disturb):
+    """King's mail from rings roughly placed, also exactly upon each other; no start has room for thicker wire. In one
+    plane doubled rings jam at 1.3 to 1.5 times the ratio."""
+    lattice, rings = doubled(np.random.default_rng(seed), disturb)
+    weave = Weave.from_rings(lattice, rings, centres="space")
+    known = WEAVES["kings-4-in-1"]
+    assert weave.jamming_ratio == pytest.approx(known.jamming_ratio, rel=1e-6)
+    assert (weave.classes, weave.centres, int(weave.linked.sum())) == (4, "space", 16)
+    heights = start_pose(weave, 1).centres[0, :, 2]
+    assert np.ptp(heights) * weave.jamming_ratio == pytest.approx(1.634, abs=0.01)
+
+
 def test_distances_of_circles_of_two_sizes_are_those_of_their_points():
     rng = np.random.default_rng(3)
     d, n_a, n_b = rng.normal(size=(3, 40, 3))
