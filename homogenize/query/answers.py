@@ -15,6 +15,7 @@ from homogenize.query.strain import locked_strain
 from rve.common import Array, InputError, JsonObject
 from rve.common.tensor import double_dot, eigenvalues, trace
 from rve.geometry import cauchy_of
+from rve.locking import string_states
 
 ROUNDING = 1e-12
 
@@ -56,10 +57,16 @@ def components(key: str, values: Array) -> dict[str, float]:
     return {key.format(name): float(x) for name, x in zip(("11", "12", "22"), values, strict=True)}
 
 
-def support_answer(path: str | Path, S: Array) -> JsonObject:
-    """h of the law at the load S (3,); InputError if S is not tensile."""
+def support_answer(path: str | Path, S: Array, strings: bool = False) -> JsonObject:
+    """h of the law at the load S (3,), with `strings` also that of its rings drawn to strings; InputError if S is not
+    tensile, or the rings are not known."""
     law, size = load_law(path), check_tensile(S)
-    return {"h": float(law.support(S[None])[0]), "extrapolated": extrapolates(law.rows, S / size)}
+    found = {"h": float(law.support(S[None])[0]), "extrapolated": extrapolates(law.rows, S / size)}
+    if not strings:
+        return found
+    if law.cell is None:
+        raise InputError(f"{path}: --strings: the law does not tell its rings; fit it with --cell R1,R2[,WEAVE]")
+    return found | string_states(law.cell.cell(), S[None], law.cell.sides_mm).row(0)
 
 
 def strength_answer(path: str | Path, S: Array, yield_N_per_mm2: float | None = None) -> JsonObject:
