@@ -113,7 +113,8 @@ def _order(weave: Weave) -> Array:
 class StringStates(ByValue):
     """States of largest work of the strings of a cell under n dead loads.
 
-    h (n,): the work S:E in the unit of S; E (n, 3); y (n, m): see `StringMesh`; turn (n, 2, 2): from the axes of y to
+    h (n,): the work S:E in the unit of S; E (n, 3); y (n, m): see `StringMesh`; tension (n, k): of the loops in N for S
+    in N/mm, spread evenly where balance leaves it open; turn (n, 2, 2): from the axes of y to
     those of the mesh, in which F is symmetric; mesh, cell: whose they are.
     """
 
@@ -122,6 +123,7 @@ class StringStates(ByValue):
     h: Array
     E: Array
     y: Array
+    tension: Array
     turn: Array
 
     def lattice(self, row: int) -> Array:
@@ -142,6 +144,12 @@ class StringStates(ByValue):
         way = weave.wires[mesh.links[:, 1], None] * self.cell.wire * z[1]
         return np.asarray(self.cell.r1 * ((z[0] + way) @ self.turn[row])[:, weave_axes(self.cell)])
 
+    @property
+    def stress(self) -> Array:
+        """The largest tension over the wire's cross-section, (n,), in N/mm2 for S in N/mm."""
+        area = np.pi * (self.cell.r2 * self.cell.weave.wires) ** 2
+        return np.asarray((self.tension / area).max(axis=1))
+
     def row(self, row: int) -> JsonObject:
         """A load's state as plain values: h_strings, strain, and of each ring the polygon, and whether it is tight."""
         mesh, corners, used = (
@@ -152,6 +160,7 @@ class StringStates(ByValue):
         loops = [
             {
                 "ring": k + 1,
+                "tension_N": float(self.tension[row, k]),
                 "is_tight": bool(used[k] > (1.0 - 1e-6) * mesh.lengths[k]),
                 "links": mesh.links[mesh.link[mesh.ring == k]].tolist(),
                 "corners_mm": corners[mesh.ring == k].tolist(),
@@ -183,8 +192,10 @@ def string_states(cell: Cell, S: Array, sides_mm: tuple[float, float], starts: i
     F = np.zeros((len(y), 2, 2))
     F[:, 0, 0], F[:, 0, 1], F[:, 1, 1] = y[:, 0] / b[0], y[:, 1] / b[1], y[:, 2] / b[1]
     E = green_lagrange(F)[:, weave_axes(cell)]
-    left, _, right = np.linalg.svd(F)
-    return StringStates(cell, mesh, double_dot(S, E), E, y, left @ right)
+    turn, _, right = np.linalg.svd(F)
+    # At the end of the path a multiplier times what is left of its constraint is 1 over the sharpness.
+    pull = trace(S)[:, None] * b.prod() * cell.r1 / (SHARPNESS[-1] * _inside(mesh, y)[2])
+    return StringStates(cell, mesh, double_dot(S, E), E, y, pull, turn @ right)
 
 
 def _largest(mesh: StringMesh, M: Array, pulls: Array) -> Array:

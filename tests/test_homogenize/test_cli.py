@@ -50,6 +50,10 @@ def test_support_of_strings_and_a_law_that_keeps_those_of_its_rows(tmp_path):
     assert told["h_strings"] == pytest.approx(exact, rel=1e-8)
     assert told["h_strings"] > told["h"]
     assert all(loop["is_tight"] and len(loop["links"]) == 4 for loop in told["strings"]["loops"])
+    info, strands = default_law().cell, 2.0 * np.pi * 0.5**2 * 360.0
+    force = info.b_x_mm * 2.0 * pitch / info.b_y_mm  # of a ring for S22 = 1 N/mm
+    broken = json.loads(run("strength", DEFAULT_LAW, "--S", "0,0,1").output)["strings_break_N_per_mm"]
+    assert broken == pytest.approx([0.30 * strands / force, 0.56 * strands / force], rel=1e-4)
     rows = TABLE.read_text().splitlines()[:30]
     table, law = tmp_path / "table.csv", tmp_path / "law.json"
     values = ["h_strings", *(f"{1.0 + 0.01 * n}" if n else "" for n in range(len(rows) - 1))]

@@ -188,6 +188,18 @@ def test_larger_cells_mirrors_and_the_other_grain_change_nothing():
     assert string_states(cell, S, sides, starts=96).h == pytest.approx(h, abs=1e-10)
 
 
+def test_tension_is_in_balance_with_the_load_and_grows_with_it():
+    cell = Cell(5.0, 0.5)
+    info = reference_cell(cell)
+    found = string_states(cell, 3.0 * np.array([ALONG, ACROSS]), info.sides_mm)
+    pitch = 2.0 * (np.pi * 5.0 - 2.0 * (np.pi - 1.0) * 0.5)
+    # One ring bears b_x S22 a2 / b_y along the grain, and b_y S11 a1 / b_x across, by two strands.
+    sides = info.b_x_mm / info.b_y_mm, info.b_y_mm / info.b_x_mm
+    for row, ratio in enumerate(sides):
+        assert found.tension[row] == pytest.approx(0.5 * 3.0 * ratio * pitch, rel=1e-4)
+        assert found.stress[row] == pytest.approx(0.5 * 3.0 * ratio * pitch / (np.pi * 0.25), rel=1e-4)
+
+
 def test_wires_touch_between_the_places_of_both():
     cell = Cell(5.0, 0.5)
     found = string_states(cell, ALONG[None], reference_cell(cell).sides_mm)
