@@ -114,8 +114,8 @@ def measure(full: bool) -> Section:
         f"Force: {min(share):.2f} to {max(share):.2f} of 2 A sigma. Outside of the band 0.30 to 0.56: "
         f"{'; '.join(outside) or 'none'}; the stress of the thinner wire is taken to be that of the thicker one. "
         "What decides within the band these tests do not tell.\n\n"
-        f"From circle to string: half of the way costs {middle:.0%} of the work of two forces, at {mid_force:.2f} times "
-        "the collapse load; the force grows beyond bounds at the end of the way only.\n\n"
+        f"From circle to string: half of the way costs {middle:.0%} of the work of two forces, at {mid_force:.2f} "
+        "times the collapse load; the force grows beyond bounds at the end of the way only.\n\n"
         "Single rings: the tests name neither steel nor gauge table; the last column is the yield stress with which "
         "the collapse load is the test's. A riveted ring fails at its rivet, which no model here has: its force is "
         "beyond the collapse of a welded ring, and of the order of that of strings."
@@ -131,9 +131,8 @@ def measure(full: bool) -> Section:
 
 
 TEXT = """Chains (Southwest Jiaotong University, as quoted in this project's notes): elongation and force at which they
-broke; *strings*: three rings of the bundle that are
-drawn from circles to loops about each other, `h_strings` of 4-in-1 along the grain; *without thickness*: 3 (pi/2 - 1)
-300 mm. *band*: 0.30 to 0.56 of 2 A sigma, A of all windings, sigma = 1,770 N/mm2. *over collapse*: force over the sum
-of the plastic collapse loads of its windings; *work of bending*: 4 pi M_p a ring and winding. From circle to string:
-force over the collapse load and part of the work, for forces evenly spread in the plane of a ring. Single rings: one of 16 gauge that opened at 27 N, a riveted one that
-broke at 400 N."""
+broke; *strings*: three rings of the bundle that are drawn from circles to loops about each other, `h_strings` of 4-in-1
+along the grain; *without thickness*: 3 (pi/2 - 1) 300 mm. *band*: 0.30 to 0.56 of 2 A sigma, A of all windings, sigma =
+1,770 N/mm2. *over collapse*: force over the sum of the plastic collapse loads of its windings; *work of bending*: 4 pi
+M_p a ring and winding. From circle to string: force over the collapse load and part of the work, for forces evenly
+spread in the plane of a ring. Single rings: one of 16 gauge that opened at 27 N, a riveted one that broke at 400 N."""

@@ -38,8 +38,8 @@ PRUNED, NEAR = 5, 0.02
 """After so many weights, climbs that are so near to each other go on as one, and those below the best one end."""
 MOST_STEPS = 60
 """Newton's steps for one weight; ten are usual."""
-BLOCK = 600
-"""Climbs advanced together."""
+ENTRIES = 2e6
+"""Of the matrices of climbs that are advanced together: 16 MB."""
 ROUND_OFF = 1e-13
 """Added to the scaled diagonal of Newton's matrix, which loads of one principal value leave singular."""
 _SIGNS = np.array([1.0, -1.0, -1.0])
@@ -186,7 +186,7 @@ def string_states(cell: Cell, S: Array, sides_mm: tuple[float, float], starts: i
     height, turn = np.arange(0.5, starts) / starts, np.pi * (1.0 + 5.0**0.5) * np.arange(starts)
     flat = np.sqrt(1.0 - height**2)
     first = np.stack([b[0] * height, b[1] * flat * np.cos(turn), b[1] * flat * np.sin(turn)], axis=1)
-    pulls, per = np.einsum("nij,kj->nki", M, first), max(BLOCK // starts, 1)
+    pulls, per = np.einsum("nij,kj->nki", M, first), max(int(ENTRIES / mesh.cones.shape[2] ** 2 / starts), 1)
     blocks = np.split(np.arange(len(unit)), range(per, len(unit), per))
     y = np.concatenate([_largest(mesh, M[rows], pulls[rows]) for rows in blocks])
     F = np.zeros((len(y), 2, 2))
