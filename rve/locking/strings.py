@@ -27,21 +27,9 @@ from rve.geometry.pose import pair_geometry, start_pose
 from rve.geometry.ring_pair import tangent_frame
 from rve.geometry.weave import Weave
 
-STARTS = 24
-"""Lattices from which the largest work is sought. Under loads with two principal values some third of them end in a
-lower maximum."""
-SHARPNESS = 10.0 ** np.arange(11)
-"""Weights of the work against the barrier; the relative error is some 30 times the inverse of the last."""
-LINEAR = 3
-"""Weights of the first climb, along the slope of the work at the start."""
-PRUNED, NEAR = 5, 0.02
-"""After so many weights, climbs that are so near to each other go on as one, and those below the best one end."""
-MOST_STEPS = 60
-"""Newton's steps for one weight; ten are usual."""
-ENTRIES = 2e6
-"""Of the matrices of climbs that are advanced together: 16 MB."""
-ROUND_OFF = 1e-13
-"""Added to the scaled diagonal of Newton's matrix, which loads of one principal value leave singular."""
+SHARPNESS = 10.0 ** np.arange(3), 10.0 ** np.arange(2, 5), 10.0 ** np.arange(5, 11)
+"""Weights of the work against the barrier: along its slope at the start, on all climbs, and on those that are left. The
+relative error is some 30 times the inverse of the last."""
 _SIGNS = np.array([1.0, -1.0, -1.0])
 
 
@@ -171,7 +159,7 @@ class StringStates(ByValue):
         return {"h_strings": float(self.h[row]), "strings": E | {"loops": loops}}
 
 
-def string_states(cell: Cell, S: Array, sides_mm: tuple[float, float], starts: int = STARTS) -> StringStates:
+def string_states(cell: Cell, S: Array, sides_mm: tuple[float, float], starts: int = 24) -> StringStates:
     """The largest work of strings under dead loads S (n, 3), positive semidefinite; sides of the reference cell.
 
     The maximum is sought from so many lattices: exact where one principal load is zero, else the largest that was
@@ -186,7 +174,7 @@ def string_states(cell: Cell, S: Array, sides_mm: tuple[float, float], starts: i
     height, turn = np.arange(0.5, starts) / starts, np.pi * (1.0 + 5.0**0.5) * np.arange(starts)
     flat = np.sqrt(1.0 - height**2)
     first = np.stack([b[0] * height, b[1] * flat * np.cos(turn), b[1] * flat * np.sin(turn)], axis=1)
-    pulls, per = np.einsum("nij,kj->nki", M, first), max(int(ENTRIES / mesh.cones.shape[2] ** 2 / starts), 1)
+    pulls, per = np.einsum("nij,kj->nki", M, first), max(int(2e6 / mesh.cones.shape[2] ** 2 / starts), 1)  # 16 MB
     blocks = np.split(np.arange(len(unit)), range(per, len(unit), per))
     y = np.concatenate([_largest(mesh, M[rows], pulls[rows]) for rows in blocks])
     F = np.zeros((len(y), 2, 2))
@@ -194,7 +182,7 @@ def string_states(cell: Cell, S: Array, sides_mm: tuple[float, float], starts: i
     E = green_lagrange(F)[:, weave_axes(cell)]
     turn, _, right = np.linalg.svd(F)
     # At the end of the path a multiplier times what is left of its constraint is 1 over the sharpness.
-    pull = trace(S)[:, None] * b.prod() * cell.r1 / (SHARPNESS[-1] * _inside(mesh, y)[2])
+    pull = trace(S)[:, None] * b.prod() * cell.r1 / (SHARPNESS[-1][-1] * _inside(mesh, y)[2])
     return StringStates(cell, mesh, double_dot(S, E), E, y, pull, turn @ right)
 
 
@@ -204,15 +192,16 @@ def _largest(mesh: StringMesh, M: Array, pulls: Array) -> Array:
     load, pull = np.repeat(np.arange(n), k), pulls.reshape(-1, 3)
     pull = pull / np.linalg.norm(pull, axis=1)[:, None]
     y, still = _slack(mesh, n * k), np.zeros((n * k, 3, 3))
-    y, _ = _climb(mesh, y, still, pull, SHARPNESS[:LINEAR])
-    for part in (SHARPNESS[LINEAR - 1 : PRUNED], SHARPNESS[PRUNED:]):
+    y, _ = _climb(mesh, y, still, pull, SHARPNESS[0])
+    near = 0.02  # climbs so near to each other go on as one, those so far below the best one end
+    for part in SHARPNESS[1:]:
         y, good = _climb(mesh, y, M[load], 0.0 * pull[load], part)
         work = np.where(good, np.einsum("ni,nij,nj->n", y[:, :3], M[load], y[:, :3]), -np.inf)
         best = np.full(n, -np.inf)
         np.maximum.at(best, load, work)
-        near = work > (1.0 - NEAR) * best[load]
-        _, kept = np.unique(np.column_stack([load, np.round(y[:, :3] / NEAR)])[near], axis=0, return_index=True)
-        kept = np.flatnonzero(near)[kept]
+        high = work > (1.0 - near) * best[load]
+        _, kept = np.unique(np.column_stack([load, np.round(y[:, :3] / near)])[high], axis=0, return_index=True)
+        kept = np.flatnonzero(high)[kept]
         y, load, work = y[kept], load[kept], work[kept]
     order = np.lexsort((-work, load))
     if not np.array_equal(np.unique(load), np.arange(n)):
@@ -232,7 +221,7 @@ def _climb(mesh: StringMesh, y: Array, M: Array, pull: Array, sharpness: Array) 
     y, good = y.copy(), np.zeros(len(y), dtype=bool)
     for sharp in sharpness:
         go, good = np.arange(len(y)), np.zeros(len(y), dtype=bool)
-        for _ in range(MOST_STEPS):
+        for _ in range(60):  # ten are usual
             at, work = y[go], (sharp * M[go], sharp * pull[go])
             step, decrement = _newton(mesh, at, *work)
             length, left, before = np.ones(len(go)), np.arange(len(go)), _merit(mesh, at, *work)
@@ -283,7 +272,7 @@ def _newton(mesh: StringMesh, y: Array, M: Array, pull: Array) -> tuple[Array, A
     gradient[:, :3] -= np.einsum("nij,nj->ni", M, y[:, :3]) + pull
     scale = 1.0 / np.sqrt(np.einsum("nii->ni", H))
     H = H * scale[:, :, None] * scale[:, None, :]
-    np.einsum("nii->ni", H)[...] += ROUND_OFF
+    np.einsum("nii->ni", H)[...] += 1e-13  # loads with one principal value leave H singular
     own = M * scale[:, :3, None] * scale[:, None, :3]
     others = np.linalg.solve(H[:, 3:, 3:], H[:, 3:, :3])
     of_lattice = H[:, :3, :3] - np.matmul(H[:, :3, 3:], others) - own
