@@ -98,8 +98,7 @@ def draw_case(table: StrainTable) -> Axes:
     note = "" if states.unique[0] else " (strain not unique: limit shown)"
     title = f"locked cell, alpha = {table.alpha_deg[0]:g} deg, beta = {table.beta_deg[0]:g} deg{note}"
     ax.set_title(f"{title}\nr1 = {r1:g} mm, r2 = {cell.r2:g} mm", fontsize=12)
-    below: dict[str, Any] = {"loc": "outside lower center", "ncols": 2, "frameon": False}
-    ax.figure.legend(fontsize=10, title="forces in N at a line load of 1 N/mm", title_fontsize=10, **below)
+    _legend_below(ax, title="forces in N at a line load of 1 N/mm", title_fontsize=10)
     return ax
 
 
@@ -128,9 +127,14 @@ def draw_strings(states: StringStates, row: int) -> Axes:
     ax.set_aspect("equal", adjustable="datalim")
     E = ", ".join(f"{name} = {x:.3f}" for name, x in zip(("E11", "E12", "E22"), states.E[row], strict=True))
     ax.set_title(f"rings drawn to strings, h = {states.h[row]:.4g}\n{E}", fontsize=12)
-    below: dict[str, Any] = {"loc": "outside lower center", "ncols": 2, "frameon": False}
-    ax.figure.legend(fontsize=10, **below)
+    _legend_below(ax)
     return ax
+
+
+def _legend_below(ax: Axes, **title: Any) -> None:
+    """The legend of the figure of some axes, below them."""
+    below: dict[str, Any] = {"loc": "outside lower center", "ncols": 2, "frameon": False}
+    ax.figure.legend(fontsize=10, **title, **below)
 
 
 def _arrows(ax: Axes, at: Array, way: Array, colour: str, width: float, label: str) -> None:

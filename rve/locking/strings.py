@@ -27,7 +27,7 @@ from rve.geometry.pose import pair_geometry, start_pose
 from rve.geometry.ring_pair import tangent_frame
 from rve.geometry.weave import Weave
 
-SHARPNESS = 10.0 ** np.arange(3), 10.0 ** np.arange(2, 5), 10.0 ** np.arange(5, 11)
+SHARPNESS = np.array([1.0, 1e1, 1e2]), np.array([1e2, 1e3, 1e4]), np.array([1e5, 1e6, 1e7, 1e8, 1e9, 1e10])
 """Weights of the work against the barrier: along its slope at the start, on all climbs, and on those that are left. The
 relative error is some 30 times the inverse of the last."""
 _SIGNS = np.array([1.0, -1.0, -1.0])
@@ -68,7 +68,7 @@ class StringMesh(ByValue):
         place[1, :, 1, 2] -= links[:, 3]
         at, edges = _order(weave), []
         for k in range(weave.classes):
-            side, link = np.nonzero(k == links[:, :2].T)
+            side, link = np.nonzero(np.equal(links[:, :2].T, k))
             turn = np.argsort(at[side, link])
             edges.append(np.stack([np.full(len(turn), k), side[turn], link[turn], np.roll(link[turn], -1)]))
         ring, side, link, _ = np.concatenate(edges, axis=1)
@@ -117,7 +117,7 @@ class StringStates(ByValue):
     def lattice(self, row: int) -> Array:
         """a1 and a2 (2, 2) in mm."""
         u, v, w = self.cell.r1 * self.y[row, :3]
-        return (np.array([[u, 0.0], [v, w]]) @ self.turn[row])[:, weave_axes(self.cell)]
+        return np.asarray((np.array([[u, 0.0], [v, w]]) @ self.turn[row])[:, weave_axes(self.cell)])
 
     def corners(self, row: int) -> Array:
         """Places (e, 2) in mm of the wires about which the rings of the first cell run."""
