@@ -33,8 +33,8 @@ def straightened_ring(
     """The path of a ring of radius r1 and wire radius r2 in mm under so many forces, 2 or more.
 
     >>> path = straightened_ring(5.0, 0.5, 235.0)
-    >>> round(path.force_N[0], 2), round(path.reach_mm[-1], 4)  # collapse; half of half the circumference
-    (31.33, 7.854)
+    >>> path.force_N[:1].round(2), path.reach_mm[-1:].round(4)  # collapse; half of half the circumference
+    (array([31.33]), array([7.854]))
     """
     if forces < 2:
         raise InputError(f"forces = {forces}: a ring is drawn by two or more")
