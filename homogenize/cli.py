@@ -83,11 +83,12 @@ def strain(law: Path, alpha: float, beta: float) -> None:
 @main.command(epilog="Example: homogenize support law.json --S 0.5,-0.1,0.5")
 @click.argument("law", type=click.Path(path_type=Path))
 @click.option("--S", "load", required=True, help="S11,S12,S22: tensile second Piola-Kirchhoff line load, any unit.")
-def support(law: Path, load: str) -> None:
+@click.option("--strings", is_flag=True, help="Add h_strings: rings drawn to loops that stretch no more.")
+def support(law: Path, load: str, strings: bool) -> None:
     """Print h = max S:E of the law as one JSON object."""
     from homogenize.query.answers import support_answer
 
-    answer(support_answer(law, parse_load(load)), always=True)
+    answer(support_answer(law, parse_load(load), strings), always=True)
 
 
 @main.command(epilog="Example: homogenize strength law.json --S 0,0,1 --yield 275")

@@ -142,14 +142,15 @@ def main() -> None:
 @click.option("--loads", type=click.Path(path_type=Path), help="CSV with alpha_deg, beta_deg instead of a grid.")
 @click.option("--graded", is_flag=True, help="403 directions, close where strains change fast, instead of a grid.")
 @click.option("--rings", is_flag=True, help="Add stiffness (dE/dS) and strength columns of the rings' own wire.")
+@click.option("--strings", is_flag=True, help="Add h_strings: rings drawn to loops that stretch no more.")
 @click.option("--joint", help="With --rings: welded, butted:ANGLE (degrees from the grain) or butted:worst.")
 @branch_options
 @larger_options
 @cell_options
-def table(out: Path, rings: bool, joint: str | None, branches: Any, reference: Any, **rest: Any) -> None:
+def table(out: Path, rings: bool, strings: bool, joint: str | None, branches: Any, reference: Any, **rest: Any) -> None:
     """Write the strain-load table of a grid or a list of load directions."""
     from rve.locking.interior_point import DirectOptions
-    from rve.solve import solve_table
+    from rve.solve import solve_table, with_strings
     from rve.table import check_out_table, write_table
     from rve.wire.cell_stiffness import with_rings
 
@@ -163,6 +164,8 @@ def table(out: Path, rings: bool, joint: str | None, branches: Any, reference: A
     found = solve_table(mesh, directions, DirectOptions(branches=branches, reference=reference))
     if rings:
         found = with_rings(found, mesh, closed)
+    if strings:
+        found = with_strings(found, mesh)
     write_table(found, out)
     say(f"rings of {ring_words(mesh.r1, mesh.r2)}")
     _say_of_table(found, out)
@@ -223,14 +226,20 @@ def _setting(text: str) -> tuple[str, float]:
 
 @main.command(name="support", epilog="Example: rve support --S 0.5,-0.1,0.5")
 @click.option("--S", "load", required=True, help="S11,S12,S22: dead line load, positive semidefinite, any unit.")
+@click.option("--strings", is_flag=True, help="Add h_strings: rings drawn to loops that stretch no more.")
+@click.option("--plot", type=FILE, help="With --strings: picture of the loops to write, PNG, SVG or PDF.")
 @branch_options
 @larger_options
 @cell_options
-def support_command(load: str, branches: Any, reference: Any, **cell: Any) -> None:
+def support_command(load: str, strings: bool, plot: Path | None, branches: Any, reference: Any, **cell: Any) -> None:
     """Print h = max S:E of a dead second Piola-Kirchhoff load and the locked state that reaches it, as JSON."""
     from rve.locking.interior_point import DirectOptions
     from rve.support_function import support
 
+    if plot is not None:
+        if not strings:
+            raise InputError("--plot: draws strings; give --strings with it")
+        check_plot(plot)
     mesh = asked_cell(**cell)
     found = support(mesh, parse_load(load), DirectOptions(branches=branches, reference=reference))
     status = str(found.status[0])
@@ -238,7 +247,17 @@ def support_command(load: str, branches: Any, reference: Any, **cell: Any) -> No
         raise NotConverged(f"S = {load}: {status}: {SENTENCES[status]}")
     if mesh.bound_note:
         say(mesh.bound_note, err=True)
-    answer(found.row(0) | ring_sizes(mesh.r1, mesh.r2), always=True)
+    told = found.row(0) | ring_sizes(mesh.r1, mesh.r2)
+    if strings:
+        from rve.common.drawing.plane import save_figure
+        from rve.locking.strings import string_states
+        from rve.plots import draw_strings
+
+        drawn = string_states(mesh, found.S, found.sides_mm)
+        told |= drawn.row(0)
+        if plot is not None:
+            save_figure(plot, draw_strings(drawn, 0).figure)
+    answer(told, always=True)
 
 
 @main.command(name="ring", epilog="Example: rve ring --inner 8 --gauge '16 swg' --weave 6-in-1")

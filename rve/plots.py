@@ -12,6 +12,7 @@ from rve.common.optional import Axes
 from rve.geometry.cell import Cell
 from rve.geometry.pose import pair_geometry
 from rve.locking.interior_point import LockedStates, unit_loads
+from rve.locking.strings import StringStates
 from rve.locking.system import lattice_load
 from rve.placed.drawn import DrawnRings
 from rve.table import StrainTable
@@ -97,9 +98,43 @@ def draw_case(table: StrainTable) -> Axes:
     note = "" if states.unique[0] else " (strain not unique: limit shown)"
     title = f"locked cell, alpha = {table.alpha_deg[0]:g} deg, beta = {table.beta_deg[0]:g} deg{note}"
     ax.set_title(f"{title}\nr1 = {r1:g} mm, r2 = {cell.r2:g} mm", fontsize=12)
-    below: dict[str, Any] = {"loc": "outside lower center", "ncols": 2, "frameon": False}
-    ax.figure.legend(fontsize=10, title="forces in N at a line load of 1 N/mm", title_fontsize=10, **below)
+    _legend_below(ax, title="forces in N at a line load of 1 N/mm", title_fontsize=10)
     return ax
+
+
+def draw_strings(states: StringStates, row: int) -> Axes:
+    """Two by two cells of rings drawn to strings, on axes of their own: wires, polygons of contacts and touching wires.
+
+    A loop runs about each wire with the sum of both wires' radii.
+    """
+    cell, mesh, ax = states.cell, states.mesh, new_axes(6.8, 7.6)
+    corners, touching, lattice = states.corners(row), states.contacts(row), states.lattice(row)
+    turn = np.linspace(0.0, 2.0 * np.pi, 361)
+    normals = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    shifts = [np.array([i, j]) @ lattice for i in range(2) for j in range(2)]
+    for k in range(cell.weave.classes):
+        polygon = corners[mesh.ring == k]
+        around = polygon[(normals @ polygon.T).argmax(axis=1)] + cell.r1 * mesh.thin[k] * normals
+        closed = polygon[[*range(len(polygon)), 0]]
+        for n, shift in enumerate(shifts):
+            colour, label = CLASS_COLOURS[k % len(CLASS_COLOURS)], None if n else f"wire of class {k + 1}"
+            ax.plot(*(around + shift).T, color=colour, lw=1.8, label=label)
+            ax.plot(*(closed + shift).T, color=BLUE, lw=0.9, label=None if n or k else "polygon of a ring")
+    at = np.concatenate([touching + shift for shift in shifts])
+    ax.scatter(*at.T, s=18, color=VERMILION, zorder=3, label="wires touch")
+    ax.margins(0.08)
+    ax.set(xlabel="x, mm", ylabel="y, mm")
+    ax.set_aspect("equal", adjustable="datalim")
+    E = ", ".join(f"{name} = {x:.3f}" for name, x in zip(("E11", "E12", "E22"), states.E[row], strict=True))
+    ax.set_title(f"rings drawn to strings, h = {states.h[row]:.4g}\n{E}", fontsize=12)
+    _legend_below(ax)
+    return ax
+
+
+def _legend_below(ax: Axes, **title: Any) -> None:
+    """The legend of the figure of some axes, below them."""
+    below: dict[str, Any] = {"loc": "outside lower center", "ncols": 2, "frameon": False}
+    ax.figure.legend(fontsize=10, **title, **below)
 
 
 def _arrows(ax: Axes, at: Array, way: Array, colour: str, width: float, label: str) -> None:

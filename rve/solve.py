@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rve.common import SENTENCES, Array, InputError, JsonObject, NotConverged, checked, part_of, versions
-from rve.common.tensor import double_dot
+from rve.common.tensor import double_dot, trace
 from rve.directions import grid
 from rve.geometry.cell import Cell, CellInfo, weave_axes
 from rve.geometry.contacts import unlisted_gap
@@ -18,6 +18,7 @@ from rve.locking.global_search import in_cell, sample_states
 from rve.locking.interior_point import DirectOptions, Equilibrium, LockedStates, solve_equilibrium
 from rve.locking.limits import with_limits
 from rve.locking.relaxation import MIXTURE, RowStates, largest_rows
+from rve.locking.strings import string_states
 from rve.locking.system import Equations
 from rve.table import Origin, RowQuality, StrainTable
 
@@ -186,6 +187,17 @@ def table_rows(alpha: Array, beta: Array, states: LockedStates, sides: tuple[flo
     contacts = np.where(bad, 0, ((found.lam > 1e-7) & found.contacts.present).sum(axis=(1, 2)))
     quality = RowQuality(R, gap, contacts, found.iterations)
     return StrainTable(alpha, beta, E, S, x2, x3, states.unique, found.status, quality, states=states)
+
+
+def with_strings(table: StrainTable, cell: Cell) -> StrainTable:
+    """The table with the work of rings drawn to strings under the load of each row that has converged."""
+    assert table.cell is not None
+    h, good = np.full(len(table), np.nan), table.converged
+    if good.any():
+        S = table.S[good] / trace(table.S[good])[:, None]
+        with part_of(f"strings of {good.sum()} loads"):
+            h[good] = string_states(cell, S, table.cell.sides_mm).h
+    return replace(table, h_strings=h)
 
 
 def table_notes(cell: Cell, status: NDArray[np.str_], wall: float) -> JsonObject:

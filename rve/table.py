@@ -46,8 +46,8 @@ if TYPE_CHECKING:
 _PARTS = {"E": ["E11", "E12", "E22"], "S": ["S11", "S12", "S22"]}
 _PARTS |= {"x2_mm": ["x2_x_mm", "x2_y_mm"], "x3_mm": ["x3_x_mm", "x3_y_mm"]}
 _PARTS |= {"compliance": [f"D{i}_{j}_mm_per_N" for i in ("11", "12", "22") for j in ("11", "12", "22")]}
-_PARTS |= {"strength": ["first_yield_1_per_mm", "collapse_1_per_mm"]}
-"""The columns of fields with several numbers a row, of which the last two may be absent. Strength is the yield stress
+_PARTS |= {"strength": ["first_yield_1_per_mm", "collapse_1_per_mm"], "h_strings": ["h_strings"]}
+"""The columns of fields with several numbers a row, of which the last three may be absent. Strength is the yield stress
 in N/mm2 that a line load S with S11 + S22 = 1 N/mm asks of the wire."""
 COLUMNS = ["alpha_deg", "beta_deg", *_PARTS["E"], *_PARTS["S"], *_PARTS["x2_mm"], *_PARTS["x3_mm"]]
 COLUMNS += ["R", "min_gap_mm", "contacts", "unique", "status", "iterations"]
@@ -55,7 +55,7 @@ REFERENCE = {"r1_mm", "r2_mm", "b_x_mm", "b_y_mm"}
 """What a sidecar says of the rings and their reference cell at least."""
 _LOADS = (_PARTS["S"], ["alpha_deg", "beta_deg"])
 """Two ways to give the load of a row, of which a file needs one."""
-_KNOWN = [*COLUMNS, "branch", *_PARTS["compliance"], *_PARTS["strength"]]
+_KNOWN = [*COLUMNS, "branch", *_PARTS["compliance"], *_PARTS["strength"], *_PARTS["h_strings"]]
 _MOST = {"alpha_deg": 360.0, "beta_deg": 360.0, "contacts": 1e9, "unique": 1.0, "iterations": 1e9}
 _MOST |= dict.fromkeys(("E11", "E12", "E22"), 1e3) | dict.fromkeys(("S11", "S12", "S22"), 1e30)
 
@@ -113,7 +113,7 @@ class StrainTable(ByValue):
     or "coexisting" where a second state does the same work under S (`rve.locking.branches`); "below" only in
     rows of that status.
     strength (n, 2) or None: the yield stress over S11 + S22, in 1/mm, at which the row's load is that of first
-    yield and of plastic collapse.
+    yield and of plastic collapse. h_strings (n,) or None: the work S:E of rings drawn to strings, at S11 + S22 = 1.
     """
 
     alpha_deg: Array
@@ -130,6 +130,7 @@ class StrainTable(ByValue):
     branch: NDArray[np.str_] | None = None
     states: LockedStates | None = field(default=None, repr=False, compare=False)
     strength: Array | None = None
+    h_strings: Array | None = None
 
     def __len__(self) -> int:
         return len(self.alpha_deg)
@@ -163,7 +164,7 @@ class StrainTable(ByValue):
         for part, names in _PARTS.items():
             if known[part] is not None:
                 known |= zip(names, known[part].reshape(len(self), -1).T, strict=True)
-        order = (*COLUMNS, "branch", *_PARTS["compliance"], *_PARTS["strength"])
+        order = (*COLUMNS, "branch", *_PARTS["compliance"], *_PARTS["strength"], *_PARTS["h_strings"])
         return {name: known[name] for name in order if known.get(name) is not None}
 
     @classmethod
@@ -287,6 +288,8 @@ def _table_of(columns: Columns) -> StrainTable:
         for part, names in _PARTS.items()
         if part in ("x2_mm", "x3_mm") or set(names) <= texts.keys()
     }
+    if "h_strings" in parts:
+        parts["h_strings"] = parts["h_strings"][:, 0]
     if "compliance" in parts:
         parts["compliance"] = parts["compliance"].reshape(-1, 3, 3)
     parts |= {name: column(name) for name in _LOADS[1]}

@@ -82,7 +82,8 @@ def rows_from_table(table: StrainTable) -> LockedRows:
     first, earlier = np.sort(index), index[inverse.ravel()]
     dropped += [f"row {keep[i]}: repeats row {keep[j]}" for i, j in enumerate(earlier) if i != j]
     S, E, keep = S[first], E[first], keep[first]
-    return LockedRows(S, E, double_dot(S, E), table.unique[keep], keep, tuple(dropped), table.is_mirrored)
+    strings = None if table.h_strings is None else table.h_strings[keep]
+    return LockedRows(S, E, double_dot(S, E), table.unique[keep], keep, tuple(dropped), table.is_mirrored, strings)
 
 
 def normality(rows: LockedRows, tolerance: float = NORMALITY_TOLERANCE) -> Normality:

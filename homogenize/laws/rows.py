@@ -25,7 +25,8 @@ class LockedRows(Rows):
     """Sampled boundary of K+: S (n, 3) of unit trace, E (n, 3), h (n,) = S:E, `unique` (n,), row number `source` (n,).
 
     `dropped` says in words which rows of the table were left out and why; `is_mirrored` whether the weave is its own
-    mirror image, so that every row stands for two.
+    mirror image, so that every row stands for two. h_strings (n,): S:E of rings drawn to strings, nan where the table
+    does not tell it; None where it tells none.
     """
 
     S: Array
@@ -35,6 +36,7 @@ class LockedRows(Rows):
     source: Index
     dropped: tuple[str, ...] = ()
     is_mirrored: bool = True
+    h_strings: Array | None = None
 
     def __len__(self) -> int:
         return len(self.h)
@@ -42,6 +44,8 @@ class LockedRows(Rows):
     def to_dict(self) -> JsonObject:
         """Loads, strains and flags as plain lists for a file, and whether the weave is its own mirror image."""
         lists = {"S": self.S.tolist(), "E": self.E.tolist(), "unique": self.unique.tolist()}
+        if self.h_strings is not None:
+            lists["h_strings"] = [None if np.isnan(h) else float(h) for h in self.h_strings]
         return lists | {"is_mirrored": self.is_mirrored}
 
 
@@ -62,11 +66,14 @@ class RowEntries(Typed):
     E: Triples
     unique: tuple[bool, ...]
     is_mirrored: bool = True
+    h_strings: tuple[Component | None, ...] | None = None
 
     def check(self) -> None:
         lengths = len(self.S), len(self.E), len(self.unique)
         if not lengths[0] == lengths[1] == lengths[2]:
             self.refuse(f"S, E, unique: differ in length, {lengths}")
+        if self.h_strings is not None and len(self.h_strings) != lengths[0]:
+            self.refuse(f"h_strings: has {len(self.h_strings)} values for {lengths[0]} rows")
         S, E = np.array(self.S), np.array(self.E)
         good = (np.abs(trace(S) - 1.0) < ROUNDING) & (eigenvalues(S)[0] >= -ROUNDING)
         good &= eigenvalues(2.0 * E + IDENTITY)[0] > 0.0
@@ -81,4 +88,5 @@ def read_rows(table: Any, where: str) -> LockedRows:
     entries = read_typed(RowEntries, table, where)
     S, E = np.array(entries.S), np.array(entries.E)
     unique, number = np.array(entries.unique), np.arange(len(S))
-    return LockedRows(S, E, double_dot(S, E), unique, number, is_mirrored=entries.is_mirrored)
+    strings = None if entries.h_strings is None else np.array(entries.h_strings, float)
+    return LockedRows(S, E, double_dot(S, E), unique, number, (), entries.is_mirrored, strings)

@@ -10,11 +10,14 @@ from homogenize.io import load_law
 from homogenize.laws.plastic import limit_surface
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.rows import LockedRows, with_mirror
+from homogenize.laws.stored import Law
 from homogenize.laws.strength import MAKE_AGAIN
 from homogenize.query.strain import locked_strain
 from rve.common import Array, InputError, JsonObject
 from rve.common.tensor import double_dot, eigenvalues, trace
 from rve.geometry import cauchy_of
+from rve.locking import string_states
+from rve.wire import rupture_band
 
 ROUNDING = 1e-12
 
@@ -56,15 +59,22 @@ def components(key: str, values: Array) -> dict[str, float]:
     return {key.format(name): float(x) for name, x in zip(("11", "12", "22"), values, strict=True)}
 
 
-def support_answer(path: str | Path, S: Array) -> JsonObject:
-    """h of the law at the load S (3,); InputError if S is not tensile."""
+def support_answer(path: str | Path, S: Array, strings: bool = False) -> JsonObject:
+    """h of the law at the load S (3,), with `strings` also that of its rings drawn to strings; InputError if S is not
+    tensile, or the rings are not known."""
     law, size = load_law(path), check_tensile(S)
-    return {"h": float(law.support(S[None])[0]), "extrapolated": extrapolates(law.rows, S / size)}
+    found = {"h": float(law.support(S[None])[0]), "extrapolated": extrapolates(law.rows, S / size)}
+    if not strings:
+        return found
+    if law.cell is None:
+        raise InputError(f"{path}: --strings: the law does not tell its rings; fit it with --cell R1,R2[,WEAVE]")
+    return found | string_states(law.cell.cell(), S[None], law.cell.sides_mm).row(0)
 
 
 def strength_answer(path: str | Path, S: Array, yield_N_per_mm2: float | None = None) -> JsonObject:
-    """The line loads S (3,) of unit trace times which the rings of a law first yield and collapse, and leave the convex
-    set inside of the collapse loads and their hull, with the largest ratio of both over all directions.
+    """The line loads S (3,) of unit trace times which the rings of a law first yield and collapse, leave the convex
+    set inside of the collapse loads and their hull, with the largest ratio of both over all directions, and the band in
+    which they break once they are drawn to strings.
 
     InputError if the law has no strength, S is not tensile, or no yield stress is known.
     """
@@ -91,12 +101,25 @@ def strength_answer(path: str | Path, S: Array, yield_N_per_mm2: float | None = 
         "first_yield_N_per_mm": float(1.0 / used[0]),
         "collapse_N_per_mm": float(1.0 / used[1]),
         **limits,
+        "strings_break_N_per_mm": _strings_break(law, unit),
         "compliance_mm_per_N": compliance,
         "error_between_rows": None if strength.error is None else asdict(strength.error),
         "material": strength.material.name,
         "joint": strength.joint,
         "extrapolated": bool(strength.extrapolates(unit)[0]),
     }
+
+
+def _strings_break(law: Law, unit: Array) -> tuple[float, float] | None:
+    """The band of line loads in N/mm, `unit` times which rings drawn to strings break; None for butted rings, which
+    open, and where weave or ultimate stress is not known."""
+    info, known = law.cell, law.strength
+    if info is None or info.pattern is None or known is None or known.joint != "welded":
+        return None
+    band = rupture_band(known.material, info.r2_mm)  # of two strands
+    stress = string_states(info.cell(), unit, info.sides_mm).stress[0]
+    strands = 2.0 * np.pi * info.r2_mm**2 * stress
+    return None if band is None else (float(band[0] / strands), float(band[1] / strands))
 
 
 def check_tensile(S: Array) -> float:

@@ -7,6 +7,8 @@ from .interior_point import LockedStates as LockedStates
 from .interior_point import solve_equilibrium as solve_equilibrium
 from .interior_point import unit_loads as unit_loads
 from .limits import with_limits as with_limits
+from .strings import StringStates as StringStates
+from .strings import string_states as string_states
 from .system import Equations as Equations
 from .system import System as System
 from .system import lattice_load as lattice_load

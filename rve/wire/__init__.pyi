@@ -12,9 +12,12 @@ from .section import Section as Section
 from .section import out_of_plane_inertia as out_of_plane_inertia
 from .section import shear_factor as shear_factor
 from .section import skin_stress as skin_stress
+from .straightening import StraightenedRing as StraightenedRing
+from .straightening import straightened_ring as straightened_ring
 from .strength import PulledRing as PulledRing
 from .strength import StrengthOptions as StrengthOptions
 from .strength import largest_factors as largest_factors
 from .strength import peak_stress as peak_stress
 from .strength import plastic_collapse as plastic_collapse
 from .strength import pulled_ring as pulled_ring
+from .strength import rupture_band as rupture_band

@@ -18,6 +18,10 @@ from rve.wire.section import Ring, skin_stress
 BENDING, TORSION = 4.0 / 3.0, 2.0 * np.pi / 3.0 / np.sqrt(3.0)
 """Plastic moment and torque (by von Mises) of a round section over r2^3 sigma_y."""
 
+RUPTURE = 0.30, 0.56
+"""Force at which published chains of rings drawn to strings broke, over twice the area of the wire times its ultimate
+stress, least and most; docs/measured/chains.md has tests, and one of thin wire that broke at less."""
+
 
 @dataclass(frozen=True)
 class StrengthOptions:
@@ -46,12 +50,15 @@ OPTIONS = StrengthOptions()
 @dataclass(frozen=True)
 class PulledRing:
     """A ring under two opposed forces F: F at first yield and at plastic collapse in N, opening over F in mm/N before,
-    and the joint these are for, in degrees around the ring from one force; None for a welded ring."""
+    and the joint these are for, in degrees around the ring from one force; None for a welded ring. rupture_N: the band
+    in which it breaks once it is drawn to a string (`RUPTURE`); None for a butted ring, which opens, and for a material
+    without ultimate stress."""
 
     first_yield_N: float
     collapse_N: float
     opening_mm_per_N: float
     joint_deg: float | None
+    rupture_N: tuple[float, float] | None = None
 
 
 @checked
@@ -81,7 +88,17 @@ def pulled_ring(r1: float, r2: float, material: Material = STEEL, joint: str = "
     opening = [flexibility(phi, pull, ring.curved(), x).sum() for x in at]
     worst = int(peaks.argmax())
     open_at = angles[worst] if angles else None
-    return PulledRing(float(stress / peaks[worst]), float(min(loads)), float(max(opening)), open_at)
+    last = None if angles else rupture_band(material, r2)
+    return PulledRing(float(stress / peaks[worst]), float(min(loads)), float(max(opening)), open_at, last)
+
+
+def rupture_band(material: Material, r2: float) -> tuple[float, float] | None:
+    """Least and largest force in N at which a ring of this wire, drawn to a string, breaks; None if no ultimate stress
+    is known."""
+    if material.ultimate_N_per_mm2 is None:
+        return None
+    low, high = (2.0 * np.pi * r2**2 * material.ultimate_N_per_mm2 * share for share in RUPTURE)
+    return float(low), float(high)
 
 
 def peak_stress(

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from homogenize import default_law, load_law
+from homogenize import FitOptions, default_law, fit_table, load_law
 from homogenize.cli import main
 from homogenize.io import DEFAULT_LAW
 from homogenize.query import support_answer
-from rve import InputError
+from rve import Cell, InputError
 
 TABLE = Path(__file__).parent / "data" / "table190.csv"
 
@@ -41,6 +41,33 @@ def test_fit_writes_a_law_and_prints_its_error(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["law.json"]
     record = json.loads((tmp_path / "law.json").read_text())
     assert len(record["provenance"]["table"]["sha256"]) == 64
+
+
+def test_support_of_strings_and_a_law_that_keeps_those_of_its_rows(tmp_path):
+    told = json.loads(run("support", DEFAULT_LAW, "--S", "0,0,2", "--strings").output)
+    pitch = np.pi * 5.0 - 2.0 * (np.pi - 1.0) * 0.5  # of a ring along the grain
+    exact = (2.0 * pitch / default_law().cell.b_y_mm) ** 2 - 1.0
+    assert told["h_strings"] == pytest.approx(exact, rel=1e-8)
+    assert told["h_strings"] > told["h"]
+    assert all(loop["is_tight"] and len(loop["links"]) == 4 for loop in told["strings"]["loops"])
+    info, strands = default_law().cell, 2.0 * np.pi * 0.5**2 * 360.0
+    force = info.b_x_mm * 2.0 * pitch / info.b_y_mm  # of a ring for S22 = 1 N/mm
+    broken = json.loads(run("strength", DEFAULT_LAW, "--S", "0,0,1").output)["strings_break_N_per_mm"]
+    assert broken == pytest.approx([0.30 * strands / force, 0.56 * strands / force], rel=1e-4)
+    rows = TABLE.read_text().splitlines()[:30]
+    table, law = tmp_path / "table.csv", tmp_path / "law.json"
+    values = ["h_strings", *(f"{1.0 + 0.01 * n}" if n else "" for n in range(len(rows) - 1))]
+    table.write_text("\n".join(f"{row},{value}" for row, value in zip(rows, values, strict=True)))
+    assert run("fit", table, "--out", law, "--cell", "5,0.5").exit_code == 0
+    kept = load_law(law).rows.h_strings
+    source = fit_table(table, FitOptions(cell=Cell(5.0, 0.5))).law.rows.source
+    assert kept == pytest.approx(np.where(source > 0, 1.0 + 0.01 * source, np.nan), nan_ok=True)
+    law.write_text(law.read_text().replace('"h_strings": [', '"h_strings": [1.0, '))
+    refused(run("strain", law, "--alpha", "20", "--beta", "30"), "h_strings: has")
+    cloth = tmp_path / "cloth.csv"
+    cloth.write_text("E11,E12,E22,S11,S12,S22\n0.1,0,0,1,0,0\n0,0,0.1,0,0,1\n0.05,0,0.05,1,0,1\n0.04,0.01,0.04,1,1,1\n")
+    assert run("fit", cloth, "--out", law, "--kind", "outer", "--noise", "1").exit_code == 0
+    refused(run("support", law, "--S", "0,0,1", "--strings"), "--strings", "does not tell its rings")
 
 
 def test_strain_prints_one_object():
