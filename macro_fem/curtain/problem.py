@@ -16,6 +16,7 @@ from macro_fem.scene.loads import nodal_forces, wind_per_area
 from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.obstacles import Body, Box, PlacedObstacle
 from macro_fem.scene.scene import Scene
+from macro_fem.scene.support_kinds import Track
 from macro_fem.scene.supports import Supports, build_supports, pin_sliding, told
 from macro_fem.scene.tables import Bar, PointLoad, Wind
 from macro_fem.solvers.cones import Cones
@@ -31,6 +32,9 @@ BENT_TRACK = (
     "the straight bar keeps the edge {} on a line, and the track above it bends within a strip {} mm wide: "
     "straight = false under [load.bar] is for a bar bent like the track, or a chain"
 )
+
+
+STRETCHED = "the track is longer than the top edge of the flat sheet, fullness {}: rings along it are drawn apart"
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +85,15 @@ class CurtainProblem:
 
     @property
     def notes(self) -> list[str]:
-        """What was mended in the mesh, and straight bars below tracks that are not."""
+        """What was mended in the mesh, tracks longer than their edge, and straight bars below tracks that are not."""
         tracks = [one.track - one.track.mean(axis=0) for one in self.supports.held if one.track is not None]
         bulge = max((float(np.ptp(one @ np.linalg.svd(one)[2][1])) for one in tracks), default=0.0)
         edges = [bar.edge for bar in self.scene.of(Bar) if bar.straight and bulge > STRAIGHT * self.mesh.size]
-        return [*self.mesh.notes, *(BENT_TRACK.format(edge, digits(bulge)) for edge in edges)]
+        border = self.mesh.border
+        tops = [(border.line("top", one.where), one) for one in self.scene.support if isinstance(one, Track)]
+        full = [line.arc[-1] / (one.drawn * one.curve(line, one.where).length) for line, one in tops]
+        drawn = [STRETCHED.format(digits(one)) for one in full if one < 0.999]
+        return [*self.mesh.notes, *drawn, *(BENT_TRACK.format(edge, digits(bulge)) for edge in edges)]
 
     @cached_property
     def elastic_law(self) -> HungLaw:

@@ -181,8 +181,8 @@ def _arrow(ax: Axes, at: Any, force: Array, length: float, words: str = "") -> N
         ax.plot(*at, "." if way[2] >= 0.0 else "x", color=VERMILION, ms=3, zorder=7)
         words += ("\ntowards the viewer" if way[2] >= 0.0 else "\naway from the viewer") * bool(words)
     if words:
-        style = {"textcoords": "offset points", "va": "top", "color": VERMILION, "zorder": 8, "bbox": PAPER}
-        ax.annotate(words, tip, (4, -1), **style)
+        beside: Any = {"textcoords": "offset points", "va": "top", "color": VERMILION, "zorder": 8, "bbox": PAPER}
+        ax.annotate(words, tip, (4, -1), **beside)
 
 
 def draw_plan(solution: CurtainSolution, width: float, most: float) -> Figure:
