@@ -205,7 +205,7 @@ def draw_plan(solution: CurtainSolution, width: float, most: float) -> Figure:
             told = f"R {digits(part.radius, 4)} mm\n" if part.radius else ""
             ax.update_datalim([at + 2.5 * away * side])
             words = f"{told}{digits(part.length, 5)} mm"
-            apart = side * [30.0, -16.0]  # points; z goes down
+            apart = 30.0 * float(side[0]), -16.0 * float(side[1])  # points; z goes down
             ax.annotate(words, at, apart, textcoords="offset points", ha="center", va="center", zorder=9, bbox=PAPER)
             begin += part.length
         places = padded(solution.x)[held.nodes][:, [0, 2]]
