@@ -306,20 +306,23 @@ def test_supports_carry_the_load_and_the_virial_is_that_of_the_load():
     assert not solution.reaction[~held.any(axis=1)].any()
 
 
+@pytest.mark.slow
 def test_rings_of_two_layers_hang_in_space_only():
     """King's mail by two corners; its slack start has the gaps of its weave."""
     weave = WEAVES["kings-4-in-1"]
-    mesh = FiniteMesh.rectangle(Cell(1.6 * weave.jamming_ratio, 1.0, weave), 2, 2)
+    mesh = FiniteMesh.rectangle(Cell(10.0 * weave.jamming_ratio / 6.0, 1.0, weave), 2, 2)
     centre, normal = mesh.slack()
     con = find_mesh_contacts(MeshPose(centre / mesh.cell.r1, normal), mesh.linked, mesh.cell.wire, 0.6)
     assert con.deepest.min() > 2.0 / weave.jamming_ratio - 2.0 * mesh.cell.wire - 1e-9
     top = np.flatnonzero(mesh.X[:, 1] > mesh.X[:, 1].max() - 1e-6)
-    force, held, at = hung(mesh, top[[mesh.X[top, 0].argmin(), mesh.X[top, 0].argmax()]])
+    ends = top[[mesh.X[top, 0].argmin(), mesh.X[top, 0].argmax()]]
+    force, held, at = hung(mesh, ends)
+    at[ends[1], 0] *= 0.9
     with pytest.raises(InputError, match="kings-4-in-1 lie in no plane"):
         mesh.solve(force, held, at, space=False)
     solution = mesh.solve(force, held, at)
     check(solution)
-    assert solution.reaction.sum(axis=0) + solution.load.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-9)
+    assert solution.reaction.sum(axis=0) + solution.load.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-8)
 
 
 def slsqp(mesh, force, held, at):
