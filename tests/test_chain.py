@@ -16,8 +16,13 @@ support = {kind = "corners", gather = 0.9}
 """
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("weave", WEAVES)
+SLOW = ("4-in-1", "6-in-1", "8-in-1")
+
+
+# The others take 3 to 20 minutes of processor time each.
+@pytest.mark.parametrize(
+    "weave", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else pytest.mark.release) for name in WEAVES]
+)
 def test_every_weave_goes_from_its_table_to_the_rings(weave, tmp_path):
     rings = ["--r1", 5, "--r2", 0.5, "--weave", weave]
     (tmp_path / "scene.toml").write_text(SCENE)
