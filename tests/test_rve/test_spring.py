@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from rve import WEAVES
 from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, green_lagrange, moved, reduction, start_pose, supercell
 from rve.placed.poses import Spring, split_response
 
@@ -24,20 +25,24 @@ def energy(pose, rows):
     n, k = pose.normals.shape[:2]
     F = np.stack([pose.a1 / SPRING.sides[0], pose.a2 / SPRING.sides[1]], axis=2)
     total = split_energy(green_lagrange(F) - rows[:, :3], SPRING.fold)
-    shares, normals = rows[:, 3 : 2 * k + 1].reshape(n, k - 1, 2), rows[:, 2 * k + 1 :].reshape(n, k, 3)
-    place = shares[..., :1] * pose.a1[:, None] + shares[..., 1:] * pose.a2[:, None]
+    shares, normals = rows[:, 3 : 3 * k].reshape(n, k - 1, 3), rows[:, 3 * k :].reshape(n, k, 3)
+    place = shares[..., :1] * pose.a1[:, None] + shares[..., 1:2] * pose.a2[:, None]
+    place = np.concatenate([place, shares[..., 2:]], axis=2)[..., : pose.centres.shape[2]]
     off = ((pose.centres[:, 1:] - place) ** 2).sum(axis=(1, 2)) + ((pose.normals - normals) ** 2).sum(axis=(1, 2))
     return total + 0.5 * SPRING.weak * off
 
 
-@pytest.mark.parametrize("weave", [FOUR_IN_ONE, SIX_IN_ONE, supercell(FOUR_IN_ONE, 2, 1)], ids=lambda w: w.name)
+WOVEN = [FOUR_IN_ONE, SIX_IN_ONE, supercell(FOUR_IN_ONE, 2, 1), WEAVES["kings-4-in-1"]]
+
+
+@pytest.mark.parametrize("weave", WOVEN, ids=lambda w: w.name)
 def test_force_and_stiffness_are_derivatives_of_the_energy(weave):
     rng, k, h = np.random.default_rng(3), weave.classes, 1e-4
-    m = 4 * k + 1
+    m = weave.coordinates
     pose = moved(start_pose(weave, CASES), rng.uniform(-0.2, 0.2, (CASES, m)))
     normals = rng.normal(size=(CASES, k, 3))
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
-    parts = (rng.uniform(-0.3, 0.3, (CASES, 3)), rng.uniform(0.0, 1.0, (CASES, 2 * (k - 1))), normals)
+    parts = (rng.uniform(-0.3, 0.3, (CASES, 3)), rng.uniform(0.0, 1.0, (CASES, 3 * (k - 1))), normals)
     rows = np.concatenate([part.reshape(CASES, -1) for part in parts], axis=1)
     f, J = SPRING(pose, reduction(pose), rows)
     step = h * np.eye(m)

@@ -17,8 +17,15 @@ from rve.geometry import supercell
 from rve.locking import string_states
 
 ALONG, ACROSS = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-WIRES = {"4-in-1": 0.5, "6-in-1": 0.3, "8-in-1": 0.3, "japanese-4-in-1": 0.5, "japanese-6-in-1": 0.3}
-REST = ["japanese-4-in-1", "japanese-6-in-1", "own"]
+WIRES = {
+    "4-in-1": 0.5,
+    "kings-4-in-1": 0.5,
+    "6-in-1": 0.3,
+    "8-in-1": 0.3,
+    "japanese-4-in-1": 0.5,
+    "japanese-6-in-1": 0.3,
+}
+REST = ["kings-4-in-1", "japanese-4-in-1", "japanese-6-in-1", "own"]
 OWN = Weave.from_rings(  # 4-in-1 of two sizes: rows of thick and of thin wire
     [(12.0, 0.0), (0.0, 6.5)],
     [
@@ -52,7 +59,7 @@ def order_along(weave, ring, links):
         for side, (mine, other, sign) in enumerate(((a, b, 1), (b, a, -1))):
             if mine != ring:
                 continue
-            to = np.append(weave.start_centres[other] - weave.start_centres[mine], 0.0) + sign * (i * a1 + j * a2)
+            to = np.append(weave.start_centres[other] - weave.start_centres[mine], 0.0)[:3] + sign * (i * a1 + j * a2)
             height = (wire - to) @ weave.start_normals[other]
             inside = np.linalg.norm(wire - to, axis=1) < weave.radii[other]
             (where,) = np.flatnonzero((height[1:] * height[:-1] <= 0.0) & inside[1:])[:1]

@@ -20,7 +20,7 @@ from rve.locking.steps import carry_forces
 
 def random_pose(weave, rng, amount=0.08):
     pose = start_pose(weave, 1)
-    return moved(pose, amount * rng.uniform(-1.0, 1.0, (1, 3 + 4 * weave.classes - 2)))
+    return moved(pose, amount * rng.uniform(-1.0, 1.0, (1, weave.coordinates)))
 
 
 @pytest.mark.parametrize("name", WEAVES)
