@@ -20,7 +20,6 @@ PAGES = {
     "docs/measured/steel.md": ("steel",),
     "docs/measured/scaling.md": ("scaling",),
     "docs/measured/friction.md": ("friction",),
-    "docs/measured/options.md": ("options",),
     "docs/measured/chains.md": ("chains",),
     "docs/reports/numbers.md": ("readme",),
 }
