@@ -17,7 +17,7 @@ FREE |= {"factors", "drawn_gap_mm_quantiles_0_5_25_50", "several_states"}
 FOLDERS = {"demand", "space", "body", "limit", "every", "curtains", "compared", "tables", "found", "sized"}
 ELSEWHERE = {"not_finite", "drawing", "is_mirrored", "plugin"}
 ELSEWHERE |= {"smallest_factor", "at_s", "peak_support_force_N", "peak_support_force_at_s", "reached_s"}
-"""Of rows without numbers, of weaves from text, of plugins, and of motions in a sweep, which have tests of their own."""
+"""Of rows without numbers, of weaves from text, of plugins and of motions in sweeps, which have tests of their own."""
 COUNTS = {"rows", "branches"}
 """Entries of the sidecar whose own keys are statuses and notes."""
 PLANE = """
