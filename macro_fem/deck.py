@@ -22,13 +22,14 @@ from homogenize.export import even_law, umat_source
 from macro_fem.answer import read_job
 from macro_fem.curtain import CurtainProblem, forces_by, make_problem
 from macro_fem.fem.assembly import load_vector
-from macro_fem.fem.cells import counterclockwise, padded
+from macro_fem.fem.cells import counterclockwise
 from macro_fem.job import solve_membrane
 from macro_fem.scene.checks import check_scene, check_sizes
 from macro_fem.scene.loads import meet
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import Scene
 from rve.common import Array, InputError, JsonObject, filled, job, part_of, versions, write_text
+from rve.geometry import padded
 
 RECORD = "deck.json"
 THICKNESS = 10.0

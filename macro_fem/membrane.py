@@ -242,7 +242,7 @@ def order(solution: CurtainSolution, summary: CurtainNumbers) -> Order:
         mass_kg=summary.mass_kg,
         hooks=len(points),
         hook_pitch_mm=next((one.pitch_mm for one in summary.support_forces if one.pitch_mm is not None), None),
-        track_mm=sum(one.curve(problem.mesh.border.line("top", one.where), one.where).length for one in tracks) or None,
+        track_mm=sum(one.along(problem.mesh.border)[1].length for one in tracks) or None,
         bars=len(bars),
         bars_mm=sum(float(edge_shares(problem.mesh, disc, one.edge).sum()) for one in bars),
         bars_kg=sum(one.mass for one in bars),

@@ -25,7 +25,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 from macro_fem.answer import read_job
 from macro_fem.curtain import CurtainSolution, forces_by
 from macro_fem.fem.assembly import SparsityPattern, stiffness
-from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded, recovered
+from macro_fem.fem.cells import counterclockwise, mean_at_corners, recovered
 from macro_fem.fem.discretization import ELEMENTS
 from macro_fem.job import solve_membrane
 from macro_fem.motion.stage import TONNE, masses_of, mesh_masses, pushed_points, scene_at
@@ -42,6 +42,7 @@ from rve.common.drawing.plane import Scale
 from rve.common.drawing.space import THREE_QUARTERS, add, add_length, look, new_plotter, surface
 from rve.common.files import write_mesh_file
 from rve.common.optional import Figure, Plotter
+from rve.geometry import padded
 
 
 @dataclass(frozen=True)

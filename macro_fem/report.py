@@ -119,7 +119,7 @@ def _plan_words(solution: CurtainSolution) -> str:
     words = ["Plan, seen from above"]
     for item, held in zip(solution.problem.scene.support, solution.problem.supports.held, strict=True):
         if isinstance(item, Track):
-            curve = plans.track_of(solution, item)
+            curve = item.along(solution.problem.mesh.border)[1]
             told = f"track {digits(curve.length, 5)} mm long"
             if item.has_hooks and len(held.nodes) > 1:
                 apart = digits(item.drawn * curve.length / (len(held.nodes) - 1), 4)
@@ -319,7 +319,7 @@ def _order(solution: CurtainSolution, summary: CurtainSummary) -> Chapter:
     tables = [PageTable("", ("what", "how much"), shown)]
     for number, item in enumerate(solution.problem.scene.support, 1):
         if isinstance(item, Track):
-            parts = plans.track_parts(plans.track_of(solution, item))
+            parts = plans.track_parts(item.along(solution.problem.mesh.border)[1])
             head = ("part", "shape", "length, mm", "radius, mm", "turns, degrees", "corner before it, degrees")
             body = [
                 [

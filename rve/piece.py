@@ -15,7 +15,7 @@ from rve.common.cell_fields import ring_volume
 from rve.common.ring_sizes import ring_sizes, ring_words
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import find_contacts, unlisted_pairs
-from rve.geometry.pattern import in_space
+from rve.geometry.pattern import padded
 from rve.geometry.pose import Pose, start_pose
 from rve.geometry.weave import Weave
 from rve.placed.drawn import DrawnRings
@@ -131,7 +131,7 @@ def _whole_rings(cell: Cell, weave: Weave, pose: Pose, size: tuple[float, float]
     cos, sin = pose.a1[0] / np.linalg.norm(pose.a1[0])
     axes = axes_of_weave(cell, 0.0) @ [[cos, sin], [-sin, cos]]  # rows are level, whatever the pose's shear
     lattice = cell.r1 * np.stack([pose.a1[0], pose.a2[0]]) @ axes.T
-    centres, normals = cell.r1 * in_space(pose.centres[0]), pose.normals[0].copy()
+    centres, normals = cell.r1 * padded(pose.centres[0]), pose.normals[0].copy()
     centres[:, :2], normals[:, :2] = centres[:, :2] @ axes.T, normals[:, :2] @ axes.T
     half = cell.r1 * weave.radii[:, None] * np.sqrt(1.0 - np.minimum(normals**2, 1.0))
     half += cell.r2 * weave.wires[:, None]
@@ -160,7 +160,7 @@ def _whole_rings(cell: Cell, weave: Weave, pose: Pose, size: tuple[float, float]
         least = ring_words(cell.r1, cell.r2)
         raise InputError(f"size = {size[0]:g} x {size[1]:g}: has {'no ' * (len(index) < 2)}{what} of {least}")
     kind = index[:, 0]
-    flat = centres[kind] + np.pad(index[:, 1:] @ lattice, ((0, 0), (0, 1)))
+    flat = centres[kind] + padded(index[:, 1:] @ lattice)
     return index, flat, normals[kind], half[kind]
 
 

@@ -10,6 +10,7 @@ from rve.common import Array, digits
 from rve.common.drawing.plane import BLUE, VERMILION, new_axes
 from rve.common.optional import Axes
 from rve.geometry.cell import Cell
+from rve.geometry.pattern import padded
 from rve.geometry.pose import pair_geometry
 from rve.locking.interior_point import LockedStates, unit_loads
 from rve.locking.strings import StringStates
@@ -26,7 +27,7 @@ def drawn_rings(states: LockedStates, k: int) -> DrawnRings:
     cell, pose = states.cell, states.pose
     at = cell.weave.rings[cell.weave.rings[:, 0] == k, 1:]
     flat = pose.centres[0, k, :2] + at @ np.concatenate([pose.a1, pose.a2])
-    centre = np.pad(swapped(cell.r1 * flat, cell), ((0, 0), (0, 1)))
+    centre = padded(swapped(cell.r1 * flat, cell))
     normal = np.tile(swapped(pose.normals[0, k], cell), (len(flat), 1))
     return DrawnRings(centre, normal, cell.r1 * cell.weave.radii[k], cell.r2 * cell.weave.wires[k])
 

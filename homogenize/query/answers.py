@@ -17,7 +17,7 @@ from rve.common import Array, InputError, JsonObject
 from rve.common.tensor import double_dot, eigenvalues, trace
 from rve.geometry import cauchy_of
 from rve.locking import string_states
-from rve.wire import rupture_band
+from rve.wire import rupture_stress
 
 ROUNDING = 1e-12
 
@@ -116,10 +116,11 @@ def _strings_break(law: Law, unit: Array) -> tuple[float, float] | None:
     info, known = law.cell, law.strength
     if info is None or info.pattern is None or known is None or known.joint != "welded":
         return None
-    band = rupture_band(known.material, info.r2_mm)  # of two strands
-    stress = string_states(info.cell(), unit, info.sides_mm).stress[0]
-    strands = 2.0 * np.pi * info.r2_mm**2 * stress
-    return None if band is None else (float(band[0] / strands), float(band[1] / strands))
+    band = rupture_stress(known.material)
+    if band is None:
+        return None
+    stress = float(string_states(info.cell(), unit, info.sides_mm).stress[0])
+    return band[0] / stress, band[1] / stress
 
 
 def check_tensile(S: Array) -> float:

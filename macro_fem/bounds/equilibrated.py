@@ -23,7 +23,6 @@ import numpy as np
 
 from macro_fem.curtain import CurtainProblem
 from macro_fem.fem.assembly import load_vector
-from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import Discretization, discretize
 from macro_fem.fem.hung_law import largest_stretch
 from macro_fem.fem.supported import SupportedFem
@@ -33,6 +32,7 @@ from macro_fem.scene.supports import Sliding, Supports, pin_sliding, sliding_nod
 from macro_fem.scene.tables import PointLoad, Wind
 from macro_fem.solvers.walls import Walls
 from rve.common import Array
+from rve.geometry import padded
 
 
 def at_dual_nodes(x: Array, mesh: CurtainMesh) -> Array:
@@ -102,7 +102,7 @@ def dual_problem(problem: CurtainProblem, near_slack: Array) -> DualProblem:
     scene, given, mesh = problem.scene, problem.supports, problem.mesh
     disc, facets = dual_disc(mesh), mesh.mesh.facets
     force, cost = dead_and_live(problem, disc)
-    mask, positions = np.zeros(near_slack.shape, bool), in_space_of(disc.nodes, d)
+    mask, positions = np.zeros(near_slack.shape, bool), padded(disc.nodes, d)
 
     single = [held for held in given.held if not len(held.facets)]
     corner = np.concatenate([np.zeros(0, int), *(held.nodes for held in single)])

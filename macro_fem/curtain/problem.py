@@ -89,9 +89,8 @@ class CurtainProblem:
         tracks = [one.track - one.track.mean(axis=0) for one in self.supports.held if one.track is not None]
         bulge = max((float(np.ptp(one @ np.linalg.svd(one)[2][1])) for one in tracks), default=0.0)
         edges = [bar.edge for bar in self.scene.of(Bar) if bar.straight and bulge > STRAIGHT * self.mesh.size]
-        border = self.mesh.border
-        tops = [(border.line("top", one.where), one) for one in self.scene.support if isinstance(one, Track)]
-        full = [line.arc[-1] / (one.drawn * one.curve(line, one.where).length) for line, one in tops]
+        along = [(one.drawn, *one.along(self.mesh.border)) for one in self.scene.support if isinstance(one, Track)]
+        full = [edge.arc[-1] / (share * curve.length) for share, edge, curve in along]
         drawn = [STRETCHED.format(digits(one)) for one in full if one < 0.999]
         return [*self.mesh.notes, *drawn, *(BENT_TRACK.format(edge, digits(bulge)) for edge in edges)]
 

@@ -9,12 +9,12 @@ import numpy as np
 from macro_fem.curtain.problem import gathered_start, placed_obstacles
 from macro_fem.curtain.state import CurtainState
 from macro_fem.fem.assembly import internal_force, load_vector
-from macro_fem.fem.cells import padded
 from macro_fem.scene.obstacles import PlacedObstacle
 from macro_fem.scene.support_kinds import Track
 from macro_fem.solvers.cones import Cones, all_cuts, green_strain, least_slack
 from macro_fem.solvers.status import FREE, ROUNDING, Evidence, Judged, Reach, Settling, Verdict, judged, load_scale
 from rve.common import Array
+from rve.geometry import padded
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

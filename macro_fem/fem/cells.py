@@ -48,16 +48,6 @@ def recovered(cells: Index, values: Array, area: Array) -> Array:
     return np.asarray(mean_at_corners(cells, values, area)[cells].mean(axis=1))
 
 
-def in_space_of(plane: Array, d: int) -> Array:
-    """Vectors (n, 2) as (n, d), where further components are 0; a copy."""
-    return np.column_stack([plane, np.zeros((len(plane), d - plane.shape[1]))])
-
-
-def padded(vectors: Array) -> Array:
-    """Vectors (n, 2) or (n, 3) with a third component, 0 where there was none."""
-    return in_space_of(vectors, 3)
-
-
 def components(cells: Index, n_nodes: int) -> tuple[int, Index]:
     """How many connected pieces the cells, or links, (n_cells, n_local) form, and the piece of each node (n_nodes,)."""
     row = np.repeat(cells[:, 0], cells.shape[1])

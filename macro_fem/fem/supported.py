@@ -15,10 +15,10 @@ import numpy as np
 from scipy import sparse
 
 from macro_fem.fem.assembly import SparsityPattern, gradient, internal_force, stiffness
-from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import Discretization
 from rve.common import Array
 from rve.common.factor import Factorizer, Solve
+from rve.geometry import padded
 
 SHIFTS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9)
 """Relative additions to the diagonal that are tried in turn when a pivot is not positive."""
@@ -70,7 +70,7 @@ class SupportedFem:
     @cached_property
     def reference(self) -> Array:
         """Positions of the nodes in the plane reference state (n_nodes, d), mm."""
-        return in_space_of(self.disc.nodes, self.d)
+        return padded(self.disc.nodes, self.d)
 
     @cached_property
     def pattern(self) -> SparsityPattern:

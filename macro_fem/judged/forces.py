@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from macro_fem.curtain import CurtainSolution, CurtainState
-from macro_fem.fem.cells import padded
 from macro_fem.scene.meshing.mesh import point_node
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.support_kinds import Held, Hooks, Track
 from macro_fem.scene.tables import PatchLoad, PointLoad, in_3d
 from macro_fem.summary import HeldPoint, ObstacleForce, ObstacleStep, RingSupport, Rounds, SupportForce
 from rve.common import Array, digits
+from rve.geometry import padded
 
 TOUCHES = 1e-6
 """A push below this part of the loads does not count as contact of its node."""

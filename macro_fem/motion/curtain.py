@@ -20,7 +20,6 @@ from macro_fem.curtain import (
     solve_problem,
 )
 from macro_fem.fem.assembly import load_vector
-from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
 from macro_fem.judged import judge_strength, links, severity, support_forces, utilisation
 from macro_fem.motion.pace import Failed, Frame, Kept, Mover
@@ -42,6 +41,7 @@ from macro_fem.solvers.status import ROUNDING
 from macro_fem.solvers.walls import TOUCHED
 from rve.common import Array, NotConverged, digits
 from rve.common.files import write_mesh_file
+from rve.geometry import padded
 
 AT_IMPACTS = (
     "whether it holds at impacts is not known: rigid rings take each in one step ({}), and forces there grow with "
@@ -116,7 +116,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             x, inner, cones, forces, pushed = hung.x, hung.inner, hung.cones, hung.reactions, hung.pushed
         else:
             X = problem.disc.nodes
-            x = in_space_of(X, problem.fem.d) if scene.start is None else scene.start.places(X)
+            x = padded(X, problem.fem.d) if scene.start is None else scene.start.places(X)
             held = self.at(self.near)[0].supports  # without those that let go at t = 0
             away = np.where(held.mask, held.positions - x, 0.0)
             if np.abs(away).max(initial=0.0) > 1e-6 * self.size:

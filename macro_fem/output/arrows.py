@@ -4,12 +4,12 @@ import numpy as np
 
 from macro_fem.curtain import CurtainState
 from macro_fem.fem.assembly import load_vector
-from macro_fem.fem.cells import padded
 from macro_fem.judged import spot_loads
 from macro_fem.scene.loads import wind_per_area
 from macro_fem.scene.meshing.mesh import point_node
 from macro_fem.scene.tables import Wind, in_3d
 from rve.common import Array
+from rve.geometry import padded
 
 
 def pulls(solution: CurtainState) -> tuple[Array, Array]:

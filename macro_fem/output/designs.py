@@ -74,8 +74,14 @@ def _held(row: Row) -> str:
     if row["governing_factor"] in (None, ""):
         return "holds" if row["holds"] else "does not hold"
     under = f" under {row['governing_combination']}" if row["governing_combination"] else ""
-    most = "of at most " if row["governing_note"] and "smallest_factor" not in row else ""
+    most = "of at most " * _is_at_most(row)
     return f"{'holds' if row['holds'] else 'does not hold'}, factor {most}{digits(row['governing_factor'])}{under}"
+
+
+def _is_at_most(row: Row) -> bool:
+    """Whether the factor of a design is known to be too large."""
+    known = row["governing_factor"] not in (None, "") and "smallest_factor" not in row
+    return known and bool(row["governing_note"])
 
 
 def lightest(rows: Sequence[Row]) -> Row | None:
@@ -127,7 +133,7 @@ def chart(rows: Sequence[Row]) -> Figure:
         if name == "governing_factor":
             ax.axvline(1.0, color="black", lw=0.8, ls="--", zorder=0)
             under = [f" {row['governing_combination']}" if row["governing_combination"] else "" for row in rows]
-            most = ["at most " * ("of at most" in _held(row)) for row in rows]
+            most = ["at most " * _is_at_most(row) for row in rows]
             texts = [text and f"{at}{text}{more}" for at, text, more in zip(most, texts, under, strict=True)]
         ax.bar_label(bars, texts, padding=3, fontsize=8, bbox={"fc": "white", "ec": "none", "pad": 0.6})
         most = np.nanmax(values, initial=0.0)

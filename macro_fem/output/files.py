@@ -10,7 +10,7 @@ from homogenize.laws import PlasticLaw
 from macro_fem.bounds.interval import CurtainBounds
 from macro_fem.bounds.limit import CurtainLimit
 from macro_fem.curtain import CurtainProblem, CurtainSolution, CurtainState, forces_by, forces_note, wind_drags
-from macro_fem.fem.cells import counterclockwise, padded
+from macro_fem.fem.cells import counterclockwise
 from macro_fem.judged import (
     collapse_at_points,
     judge_line_loads,
@@ -33,7 +33,7 @@ from macro_fem.summary import (
 )
 from rve.common import Array, digits, versions
 from rve.common.factor import linear_solver
-from rve.geometry import CellInfo
+from rve.geometry import CellInfo, padded
 
 COARSE_POINTS = (
     "the interval begins at 0, as cells at held or loaded points reach beyond a disk of {:.3g} mm, one cell of the "
@@ -120,13 +120,13 @@ def with_limit(
     if most > 0.5:
         notes.append(f"{digits(100.0 * most)} % beyond locking rings are strings, of which the law knows nothing")
     is_loaded, points = np.isfinite(limit.factor), None if rigid is None else collapse_at_points(rigid)
-    # Stretch beyond locking from which rings count as flowing: the solver leaves some 1e-8.
+    weight, flows = solution.problem.disc.weight, beyond > 1e-6  # the solver leaves some 1e-8
     parts = Limit(
         limit_factor=limit.factor if is_loaded else None,
         limit_interval=[limit.lower, limit.upper] if is_loaded else None,
         limit_of_points=points,
         limit_note="; ".join(notes) or None,
-        plastic_area_share=float(solution.problem.disc.weight @ (beyond > 1e-6) / solution.problem.disc.weight.sum()),
+        plastic_area_share=float(weight @ flows / weight.sum()),
         largest_plastic_strain=most,
         largest_plastic_strain_at_mm=solution.problem.disc.points[beyond.argmax()].tolist(),
     )

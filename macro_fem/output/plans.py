@@ -13,7 +13,6 @@ import numpy as np
 import shapely
 
 from macro_fem.curtain import CurtainSolution, placed_obstacles
-from macro_fem.fem.cells import padded
 from macro_fem.judged import spot_loads
 from macro_fem.output import space_view
 from macro_fem.output.images import Draw, compose
@@ -26,6 +25,7 @@ from rve.common import Array, digits
 from rve.common.drawing.plane import VERMILION, as_typed, new_figure
 from rve.common.drawing.space import new_plotter
 from rve.common.optional import Axes, Figure, Plotter
+from rve.geometry import padded
 
 INCH, WORDS, DPI = 25.4, 7.0, 250
 """mm; the size of words in points; of what is an image."""
@@ -90,11 +90,6 @@ def _radius(points: Array) -> float:
     square = (away**2).sum(axis=1)
     *twice, rest = np.linalg.lstsq(np.column_stack([away, np.ones(len(away))]), square, rcond=None)[0]
     return float(np.sqrt(rest + 0.25 * np.square(twice).sum()))
-
-
-def track_of(solution: CurtainSolution, item: Track) -> Curve:
-    """The curve of a track of the scene."""
-    return item.curve(solution.problem.mesh.border.line("top", item.where), item.where)
 
 
 def draw_sheet(solution: CurtainSolution, width: float, most: float) -> Figure:
@@ -188,7 +183,8 @@ def _arrow(ax: Axes, at: Any, force: Array, length: float, words: str = "") -> N
 def draw_plan(solution: CurtainSolution, width: float, most: float) -> Figure:
     """The curtain from above, its tracks with lengths, radii and the distance of runners along them."""
     x = padded(solution.x)[:, [0, 2]]
-    tracks = [(item, held, track_of(solution, item)) for item, held in _each(solution) if isinstance(item, Track)]
+    border = solution.problem.mesh.border
+    tracks = [(one, held, one.along(border)[1]) for one, held in _each(solution) if isinstance(one, Track)]
     shown = np.concatenate([x, *(held.track[:, [0, 2]] for _, held, _ in tracks)])
     extent = np.maximum(np.ptp(shown, axis=0), 0.05 * solution.problem.mesh.size)
     figure, ax = _figure(width, most, extent[1] / extent[0] + 0.32)

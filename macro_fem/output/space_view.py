@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from macro_fem.curtain import CurtainSolution, CurtainState
-from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
+from macro_fem.fem.cells import counterclockwise, mean_at_corners
 from macro_fem.output.arrows import FORCES
 from macro_fem.output.images import Draw
 from macro_fem.scene.obstacles import Box, Cylinder, Floor, PlacedObstacle, Sphere, Wall, unit
@@ -19,6 +19,7 @@ from rve.common import Array, digits
 from rve.common.drawing import space
 from rve.common.drawing.plane import Scale
 from rve.common.optional import Plotter, PolyData
+from rve.geometry import padded
 
 HELD, TRACK = "#1f4e79", "#4a4f57"
 GROUND, SHADOW = "#ebedf0", "#cdd2d8"

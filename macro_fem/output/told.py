@@ -1,6 +1,7 @@
 """What is said of a scene, its loads and its answer: the sentences that commands print."""
 
 from collections.abc import Iterable, Iterator
+from dataclasses import fields
 from pathlib import Path
 
 from macro_fem.judged import asked_of_rings, links, spot_loads
@@ -296,7 +297,8 @@ def loads_in_words(scene: Scene) -> str:
 
 
 def _own_in_words(load: Load) -> str:
-    values = [f"{key} = {value}" for key, value in vars(load).items() if value != ()]
+    given = [(one.name, vars(load)[one.name]) for one in fields(load) if vars(load)[one.name] != one.default]
+    values = [f"{name} = {value}" for name, value in given]
     return f"{load.kind} ({', '.join(values)})" if values else load.kind
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from macro_fem.fem.cells import padded
 from macro_fem.output.html_page import write_page
 from macro_fem.output.images import save_picture, save_view
 from macro_fem.output.pictures import Drawings, Pictures, draw_all
@@ -17,6 +16,7 @@ from rve import Cell
 from rve.common import Array, Index, InputError, JsonObject, checked, csv_text, digits, job, versions, write_text
 from rve.common.drawing.space import THREE_QUARTERS, add, add_length, lines, look, new_plotter, sheet_axes
 from rve.common.optional import Axes, Plotter
+from rve.geometry import padded
 from rve.placed import NEAR, POSE_MEANINGS, CellForces, DrawnRings, Fit, NearestPoses, write_solids
 
 RECORD = "localize.json"

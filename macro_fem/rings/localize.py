@@ -15,14 +15,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import rve
-from macro_fem.fem.cells import mean_at_corners, padded, signed_areas
+from macro_fem.fem.cells import mean_at_corners, signed_areas
 from macro_fem.judged import Disks, Nearby
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain, Sites, curtain_file, read_curtain
 from macro_fem.rings.field import RECORD, RingField, WorstCell
 from rve.common import Array, Index, InputError, JsonObject, check_out_job, checked, read_entry, tell
 from rve.common.tensor import WEIGHT, double_dot
-from rve.geometry import cauchy_of, deformation_gradient
+from rve.geometry import cauchy_of, deformation_gradient, padded
 from rve.placed import (
     NearestPoses,
     axes_of_weave,

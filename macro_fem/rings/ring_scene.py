@@ -14,7 +14,6 @@ from scipy.spatial import cKDTree
 from homogenize import MembraneLaw, default_law, with_material
 from macro_fem.curtain import CurtainSolution
 from macro_fem.fem.assembly import load_vector
-from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.discretization import discretize
 from macro_fem.rings.cost import ring_cost
 from macro_fem.scene.checks import OF_HOOKS, check_sizes, keys_set
@@ -29,7 +28,7 @@ from rve import Cell, FiniteMesh, reference_cell
 from rve.common import Array, Index, InputError
 from rve.common.materials import material_of
 from rve.finite import FiniteOptions, FiniteSolution, HalfSpace
-from rve.geometry import CellInfo
+from rve.geometry import CellInfo, padded
 
 WHOLE, NEARLY_WHOLE = 1e-7, 0.02
 """A side of a rectangle within these parts of a cell of whole cells is left as it is, or made whole with a note."""
@@ -195,7 +194,7 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
         return held
 
     held, shares = on_rings(supports.fixed), padded(onto @ supports.fixed.astype(float))
-    way = np.where(supports.fixed, supports.positions - in_space_of(disc.nodes, scene.d), 0.0)
+    way = np.where(supports.fixed, supports.positions - padded(disc.nodes, scene.d), 0.0)
     at = padded(mesh.X) + padded(onto @ way) / np.where(shares > 0.0, shares, 1.0)
     bars = []
     mass = areal_mass(scene, info) * PER_MM2 * mesh.weighing_area + onto @ bar_masses(scene, fem, disc, turning=True)
@@ -208,6 +207,6 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
         m = item.normal(np.zeros((1, 3)))
         offset = float(item.support(m)[0] + m[0] @ in_3d(item.move))
         walls.append(HalfSpace(tuple(m[0].tolist()), offset, item.name))
-    pins = Sliding(ring[supports.pins.nodes], in_space_of(supports.pins.direction, 3))
+    pins = Sliding(ring[supports.pins.nodes], padded(supports.pins.direction))
     mesh = replace(mesh, bars=tuple(bars))
     return RingScene(scene, mesh, force, held, at, groups, pins, mass, info, tuple(walls), tuple(winds), notes)

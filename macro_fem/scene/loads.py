@@ -18,7 +18,7 @@ import numpy as np
 from homogenize import LawInterval, MembraneLaw, with_material
 from homogenize.laws import Law
 from macro_fem.fem.assembly import load_vector
-from macro_fem.fem.cells import cross, in_space_of
+from macro_fem.fem.cells import cross
 from macro_fem.fem.discretization import Discretization
 from macro_fem.scene.meshing.mesh import CurtainMesh, edge_nodes, facet_nodes, point_node
 from macro_fem.scene.obstacles import unit
@@ -28,7 +28,7 @@ from rve import DirectOptions
 from rve import solidity as solidity_of
 from rve.common import Array
 from rve.common.records import floats
-from rve.geometry import CellInfo
+from rve.geometry import CellInfo, padded
 
 Kind = TypeVar("Kind", bound=MembraneLaw | LawInterval)
 OURS = (Bar, EdgeLoad, PatchLoad, PointLoad, Wind)
@@ -128,7 +128,7 @@ def _as_forces(given: Array, X: Array, load: Load, scene: Scene) -> Array:
         scene.refuse(f"{load.where}: {type(load).__name__} gives {given.shape}, not finite forces (n, 2) or (n, 3)")
     if given.shape[1] > scene.d and given[:, 2].any():
         scene.refuse(f"{load.where}: leaves the plane; say why by its space_reason")
-    return np.asarray(in_space_of(given[:, : scene.d], scene.d))
+    return np.asarray(padded(given[:, : scene.d], scene.d))
 
 
 def bar_masses(scene: Scene, mesh: CurtainMesh, disc: Discretization, *, turning: bool = False) -> Array:

@@ -9,10 +9,10 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from macro_fem.fem.cells import padded
 from macro_fem.scene import tables
 from macro_fem.scene.tables import NO_MOVE, Timed, Vector, Way, check_directions, in_3d, leaves_plane
 from rve.common import Array, Typed
+from rve.geometry import padded
 
 
 def unit(v: Vector | Array) -> Array:

@@ -12,13 +12,13 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 import numpy as np
 from msgspec import Meta
 
-from macro_fem.fem.cells import padded
 from macro_fem.scene import tables
 from macro_fem.scene.meshing.edges import UPRIGHT, Border, Line
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.tables import LEAST_MM, NO_MOVE, Time, Timed, Way, in_3d, leaves_plane
 from rve.common import Array, InputError
 from rve.common.records import Index
+from rve.geometry import padded
 
 NONE = np.zeros(0, np.int64)
 PARALLEL = 1e-9
@@ -391,9 +391,14 @@ class Track(Hanging, kind="track"):
     def space_reason(self) -> str:
         return "kind = 'track' leaves the plane"
 
-    def hold(self, border: Border, nodes: Index) -> Held:
+    def along(self, border: Border) -> tuple[Line, Curve]:
+        """The top edge of a sheet and the track above it."""
         edge = border.line("top", f"{self.where} needs edge")
-        curve, length, s = self.curve(edge, self.where), edge.arc[-1], edge.arc
+        return edge, self.curve(edge, self.where)
+
+    def hold(self, border: Border, nodes: Index) -> Held:
+        edge, curve = self.along(border)
+        length, s = edge.arc[-1], edge.arc
         if self.has_hooks:
             s = np.linspace(0.0, length, len(nodes))
         # Points of a track in pictures.

@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 from scipy import sparse
 
-from macro_fem.fem.cells import components, cross, in_space_of
+from macro_fem.fem.cells import components, cross
 from macro_fem.fem.discretization import Discretization
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.meshing.edges import in_order
@@ -23,6 +23,7 @@ from macro_fem.scene.support_kinds import NONE, PARALLEL, Held, Support, sloping
 from macro_fem.scene.tables import Bar
 from rve.common import Array, InputError, shown
 from rve.common.records import Index
+from rve.geometry import padded
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +86,7 @@ class Supports:
 
     def fem(self, disc: Discretization) -> SupportedFem:
         """The discretisation with these supports."""
-        x_held = np.where(self.fixed, self.positions, in_space_of(disc.nodes[:1], self.fixed.shape[1]))
+        x_held = np.where(self.fixed, self.positions, padded(disc.nodes[:1], self.fixed.shape[1]))
         return SupportedFem(disc, x_held, ~self.fixed.ravel(), self.tie)
 
     def carried(self, force: Array) -> Array:
@@ -106,7 +107,7 @@ def build_supports(
     held = tuple(
         _held(scene, number, mesh, disc, factor) for number in range(len(scene.support)) if number not in released
     )
-    positions = in_space_of(disc.nodes, scene.d)
+    positions = padded(disc.nodes, scene.d)
     mask, ways = np.zeros(positions.shape, bool), np.zeros(positions.shape)
     stiff = mask.copy()
     lines_first = sorted(held, key=lambda one: one.slide is None)

@@ -18,7 +18,7 @@ import shapely
 from rve.common import Array, Index, InputError, checked
 from rve.common.cell_fields import gyration_radius
 from rve.geometry.cell import Cell, weave_sides
-from rve.geometry.pattern import in_space
+from rve.geometry.pattern import padded
 from rve.geometry.pose import start_pose
 from rve.geometry.weave import WEAVES
 from rve.locking.interior_point import DirectOptions
@@ -130,7 +130,7 @@ class RingLayout:
         axes = axes_of_weave(self.cell, self.hang_deg)
         ij = self.index[:, 1:] + reference_shares(self.cell)[self.index[:, 0]]
         flat = self.cell.r1 * (ij[:, :1] * pose.a1 + ij[:, 1:] * pose.a2) @ axes.T
-        normal, height = (one[0, self.index[:, 0]] for one in (pose.normals, in_space(pose.centres)))
+        normal, height = (one[0, self.index[:, 0]] for one in (pose.normals, padded(pose.centres)))
         centre = np.column_stack([flat, self.cell.r1 * height[:, 2]])
         return centre, np.column_stack([normal[:, :2] @ axes.T, normal[:, 2]])
 

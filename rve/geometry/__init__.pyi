@@ -17,6 +17,7 @@ from .kinematics import green_lagrange as green_lagrange
 from .kinematics import lattice_strain as lattice_strain
 from .kinematics import load_angles as load_angles
 from .kinematics import second_pk as second_pk
+from .pattern import padded as padded
 from .pattern import supercell as supercell
 from .pose import Pose as Pose
 from .pose import deformation as deformation

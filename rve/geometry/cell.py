@@ -14,7 +14,7 @@ from rve.common.cell_fields import ArealMass, Density, Length, areal_mass, check
 from rve.common.materials import STEEL, Material, named_material
 from rve.common.ring_sizes import RING_SIZES, radii_of
 from rve.common.typed import read_typed
-from rve.geometry.pattern import supercell
+from rve.geometry.pattern import Centres, supercell
 from rve.geometry.weave import FOUR_IN_ONE, WEAVES, Drawing, Weave, drawing_of, named_weave, woven
 
 CellCount = Annotated[int, Meta(ge=1, le=4)]
@@ -51,7 +51,7 @@ class Cell(Typed):
     density: Density = OF_STEEL
     material: Material = STEEL  # or its name, which __post_init__ replaces
     cells: tuple[CellCount, CellCount] = (1, 1)
-    centres: Literal["plane", "space"] = "plane"
+    centres: Centres = "plane"
 
     def __post_init__(self) -> None:
         given = OF_STEEL if self.density is None else self.density
@@ -209,7 +209,7 @@ class CellInfo(Typed):
     def check_same(self, other: CellInfo, where: str, name: str) -> None:
         """InputError if `other` are rings of another weave or shape, of any size; `where` names them, `name` these."""
         shapes = [np.array([one.r2_mm, *one.sides_mm]) / one.r1_mm for one in (other, self)]
-        # Relative difference of radii and reference cells that are count as the same.
+        # Relative difference of radii and reference cells that count as the same.
         if np.abs(np.subtract(*shapes)).max() <= 1e-6:
             return
         if other.weave and self.weave and (other.weave, other.grain) != (self.weave, self.grain):

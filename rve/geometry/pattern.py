@@ -10,6 +10,9 @@ import numpy as np
 
 from rve.common import Array, ByValue, Flags, Index
 
+Centres = Literal["plane", "space"]
+"""Where the centres of rings may be."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Pattern(ByValue):
@@ -95,7 +98,7 @@ class Pattern(ByValue):
         return not self.start_centres[:, 2:].any()
 
     @property
-    def centres(self) -> Literal["plane", "space"]:
+    def centres(self) -> Centres:
         """Where the centres of the rings may be, "plane" or "space"."""
         return "space" if self.start_centres.shape[1] == 3 else "plane"
 
@@ -103,9 +106,9 @@ class Pattern(ByValue):
 AnyPattern = TypeVar("AnyPattern", bound=Pattern)
 
 
-def in_space(points: Array) -> Array:
-    """Points (..., 2 or 3) as (..., 3), those of a plane at the height 0."""
-    return np.concatenate([points, np.zeros((*points.shape[:-1], 3 - points.shape[-1]))], axis=-1)
+def padded(vectors: Array, d: int = 3) -> Array:
+    """Vectors (..., k) as (..., d), k <= d, with further components of 0; a copy."""
+    return np.concatenate([vectors, np.zeros((*vectors.shape[:-1], d - vectors.shape[-1]))], axis=-1)
 
 
 def supercell(weave: AnyPattern, nx: int, ny: int, centres: str = "plane") -> AnyPattern:
@@ -134,7 +137,7 @@ def supercell(weave: AnyPattern, nx: int, ny: int, centres: str = "plane") -> An
         linked=np.repeat(weave.linked, len(cells)),
         rings=np.array([(k, i, j) for k in range(count * nx * ny) for i in range(2) for j in range(2)]),
         start_lattice=np.array([nx * x2, ny * y3, t]),
-        start_centres=in_space(places) if centres == "space" else places,
+        start_centres=padded(places) if centres == "space" else places,
         start_normals=np.tile(weave.start_normals, (len(cells), 1)),
         radii=np.tile(weave.radii, len(cells)),
         wires=np.tile(weave.wires, len(cells)),

@@ -12,7 +12,7 @@ from scipy.linalg import qr
 
 from rve.common import Array, Index, Rows
 from rve.geometry.kinematics import green_lagrange
-from rve.geometry.pattern import Pattern, in_space
+from rve.geometry.pattern import Pattern, padded
 from rve.geometry.ring_pair import dot, tangent_frame, turned
 
 
@@ -71,7 +71,7 @@ def tiled(pose: Pose, weave: Pattern) -> Pose:
     places = [pose.centres[..., :2] + (ix * pose.a1 + iy * pose.a2)[:, None] for ix, iy in cells]
     heights = np.tile(pose.centres[..., 2:], (1, len(cells), 1))
     centres = np.concatenate([np.concatenate(places, axis=1), heights], axis=2)
-    centres = in_space(centres) if weave.centres == "space" else centres
+    centres = padded(centres) if weave.centres == "space" else centres
     return Pose(pose.lattice * [times // ny, ny, 1.0], centres, np.tile(pose.normals, (1, len(cells), 1)))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from rve.common import Array, Flags, Index
 from rve.geometry.contacts import distance_gradient, find_contacts
-from rve.geometry.pattern import Pattern, in_space
+from rve.geometry.pattern import Pattern, padded
 from rve.geometry.pose import Pose, moved, pair_maps, reduction, start_pose
 
 LARGEST_STEP, LEAST_STEP = 0.05, 1e-11
@@ -88,8 +88,8 @@ def matched(pattern: Pattern, other: Pattern, signs: Array, shift: Array, tolera
     """The rings of `other` that rings (k, 0, 0) of a pattern come to lie on by x -> signs x + shift (2 or 3,) in their
     start poses, None if links or sizes differ. Rings may lie `tolerance` times their radius beside each other."""
     pose, rings = start_pose(other, 1), []
-    lattice, centres, normals = np.stack([pose.a1[0], pose.a2[0]]), in_space(pose.centres[0]), pose.normals[0]
-    there = in_space(pattern.start_centres) * signs + in_space(shift)
+    lattice, centres, normals = np.stack([pose.a1[0], pose.a2[0]]), padded(pose.centres[0]), pose.normals[0]
+    there = padded(pattern.start_centres) * signs + padded(shift)
     for k, normal in enumerate(pattern.start_normals * signs):
         off = there[k] - centres
         whole = np.round(off[:, :2] @ np.linalg.inv(lattice))

@@ -12,7 +12,7 @@ from functools import cache
 from itertools import product
 from operator import itemgetter
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta
@@ -23,7 +23,7 @@ from rve.common.ring_sizes import DEFAULT_RING
 from rve.common.texts import read_toml
 from rve.common.typed import not_one_of, read_typed
 from rve.geometry.contacts import find_contacts
-from rve.geometry.pattern import Pattern, in_space
+from rve.geometry.pattern import Centres, Pattern, padded
 from rve.geometry.pose import Pose, mirror_modes, mirrored, moved, start_pose
 from rve.geometry.ring_pair import are_linked, local_minima
 from rve.geometry.slack import Link, flags_of, loosen, matched, near_pairs, once, thickest
@@ -68,7 +68,7 @@ class Drawing(Typed):
     ring: tuple[PlacedRing, ...]
     pairs: tuple[tuple[int, int, int, int], ...] = ()
     planar_ratio: float | None = None
-    centres: Literal["plane", "space"] = "plane"
+    centres: Centres = "plane"
 
 
 class Weave(Pattern):
@@ -89,7 +89,7 @@ class Weave(Pattern):
         lattice: Sequence[Sequence[float]],
         rings: Sequence[Mapping[str, Any]],
         name: str = "own",
-        centres: Literal["plane", "space"] = "plane",
+        centres: Centres = "plane",
     ) -> Weave:
         """The weave of rings roughly placed, in mm: lattice vectors a1 and a2, and of each ring of a cell its centre
         (x, y, z), normal, r1 and r2. Their links count; distances and angles become those of largest clearance, with
@@ -103,7 +103,7 @@ class Weave(Pattern):
     def drawing(self, r1: float, r2: float) -> Drawing:
         """The slack pose as text, for radii of the first ring in mm."""
         pose = start_pose(self, 1)
-        places = (r1 * in_space(pose.centres[0])).tolist(), pose.normals[0].tolist()
+        places = (r1 * padded(pose.centres[0])).tolist(), pose.normals[0].tolist()
         sizes = zip(*places, self.radii.tolist(), self.wires.tolist(), strict=True)
         rings = [PlacedRing((x, y, z), (n[0], n[1], n[2]), r1 * a, r2 * w) for (x, y, z), n, a, w in sizes]
         a1, a2 = ((float(r1 * a[0, 0]), float(r1 * a[0, 1])) for a in (pose.a1, pose.a2))
@@ -290,7 +290,7 @@ def _weave(
     """The weave with these links, whose pairs are those within reach in this pose."""
     a1, a2 = np.array([1.0, lattice[2]]) * lattice[0], np.array([lattice[2], 1.0]) * lattice[1]
     centres = centres - centres[0]
-    near = near_pairs(np.stack([a1, a2]), in_space(centres), WITHIN * (radii[:, None] + radii))
+    near = near_pairs(np.stack([a1, a2]), padded(centres), WITHIN * (radii[:, None] + radii))
     far = links - {once(pair) for pair in near}
     pairs = np.concatenate([near, np.array(sorted(far), dtype=int).reshape(-1, 4)])
     # Two cells along a1 and a2, with the next row of the first class, as in the paper.

@@ -148,7 +148,8 @@ def solve_stable(loads: Array, equations: Equations, options: DirectOptions) -> 
     found = beside_saddles(found, loads, equations, options)
     left = np.flatnonzero(found.status != "converged")
     if len(left) and options.attempts > 1:
-        found = found.put(left, solve_equilibrium(loads[left], equations, options))
+        again = solve_equilibrium(loads[left], equations, options, made=1)
+        found = found.put(left, replace(again, iterations=again.iterations + found.iterations[left]))
     return found
 
 

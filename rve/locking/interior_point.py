@@ -184,7 +184,11 @@ def iterate_to_end(state: PathState, equations: Equations, options: DirectOption
 
 
 def solve_equilibrium(
-    s: Array, equations: Equations, options: DirectOptions = DirectOptions(), start: Pose | None = None
+    s: Array,
+    equations: Equations,
+    options: DirectOptions = DirectOptions(),
+    start: Pose | None = None,
+    made: int = 0,
 ) -> Equilibrium:
     """Locked poses under the load of the equations, s being its rows: by default Cauchy line loads (n, 3), principal
     values >= 0, any size.
@@ -192,7 +196,7 @@ def solve_equilibrium(
     Starts from the slack pose of the weave, or from `start` (n poses with positive gaps). A case that does not converge
     has status "stalled" and keeps its start pose with R = nan; nothing is raised. Attempts after the first start from
     disturbed poses, the same for every case and batch; mu falls slowly there, so that cells which move far along a
-    narrow valley are not left behind on its wall.
+    narrow valley are not left behind on its wall. `made` attempts have been made before and are not made again.
 
     >>> from rve.geometry.kinematics import cauchy_line_load
     >>> from rve.geometry.weave import FOUR_IN_ONE
@@ -208,7 +212,7 @@ def solve_equilibrium(
     tries = np.full(len(s), options.attempts)
     found = Equilibrium(first, np.zeros(contacts.gap.shape), contacts, nan, iterations, stalled, tries, first)
     left, tuned = np.arange(len(s)), options
-    for attempt in range(options.attempts):
+    for attempt in range(made, options.attempts):
         pose = first.take(left)
         if attempt > 0:
             tuned = replace(options, shrink=SLOW[(attempt - 1) % len(SLOW)], power=1.0)

@@ -140,16 +140,12 @@ class StringStates(ByValue):
 
     def row(self, row: int) -> JsonObject:
         """A load's state as plain values: h_strings, strain, and of each ring the polygon, and whether it is tight."""
-        mesh, corners, used = (
-            self.mesh,
-            self.corners(row),
-            np.bincount(self.mesh.ring, self.y[row, -len(self.mesh.ring) :]),
-        )
+        mesh, corners, left = self.mesh, self.corners(row), _inside(self.mesh, self.y[row : row + 1])[2][0]
         loops = [
             {
                 "ring": k + 1,
                 "tension_N": float(self.tension[row, k]),
-                "is_tight": bool(used[k] > (1.0 - 1e-6) * mesh.lengths[k]),
+                "is_tight": bool(left[k] < 1e-6 * mesh.lengths[k]),
                 "links": mesh.links[mesh.link[mesh.ring == k]].tolist(),
                 "corners_mm": corners[mesh.ring == k].tolist(),
             }

@@ -7,7 +7,7 @@ import numpy as np
 
 from rve.common import Array, ByValue, Flags, Index, checked
 from rve.geometry.cell import Cell
-from rve.geometry.pattern import in_space
+from rve.geometry.pattern import padded
 from rve.geometry.pose import Pose, start_pose
 from rve.geometry.ring_pair import are_linked, dot, local_minima
 from rve.geometry.weave import Weave
@@ -45,7 +45,7 @@ def offsets(pose: Pose, cell: Cell) -> Array:
     """Ways (n, K, 3) in mm to the rings of poses from their reference lattice points, in weave axes."""
     off = shares(pose) - reference_shares(cell)
     flat = off[..., :1] * pose.a1[:, None] + off[..., 1:] * pose.a2[:, None]
-    return cell.r1 * np.concatenate([flat, in_space(pose.centres)[..., 2:]], axis=2)
+    return cell.r1 * np.concatenate([flat, padded(pose.centres)[..., 2:]], axis=2)
 
 
 @dataclass(frozen=True, eq=False)

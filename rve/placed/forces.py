@@ -9,7 +9,7 @@ from rve.common import Array, ByValue, NotConverged, checked
 from rve.common.tensor import WEIGHT
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, load_angles
-from rve.geometry.pattern import in_space, supercell
+from rve.geometry.pattern import padded, supercell
 from rve.geometry.pose import pair_geometry, tiled
 from rve.locking.interior_point import DirectOptions, LockedStates
 from rve.locking.system import Equations
@@ -69,7 +69,7 @@ def cell_forces(s: Array, cell: Cell) -> CellForces:
     works = (force > 1e-9) & (status == "converged")
     minima = con.minima.take(works)
     a, b, i, j = weave.pairs[minima.pair].T
-    start, branch = in_space(pose.centres[0, a]), pair_geometry(pose, weave)[0][0, minima.pair]
+    start, branch = padded(pose.centres[0, a]), pair_geometry(pose, weave)[0][0, minima.pair]
     a1, a2 = pose.a1[0], pose.a2[0]
     share = (weave.wires[a] / (weave.wires[a] + weave.wires[b]))[:, None]  # of the way between both centre circles
     return CellForces(

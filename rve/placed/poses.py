@@ -23,7 +23,7 @@ from rve.common.tensor import WEIGHT, dyad, eigenvalues
 from rve.directions import product
 from rve.geometry.cell import Cell, weave_sides
 from rve.geometry.kinematics import lattice_strain
-from rve.geometry.pattern import in_space
+from rve.geometry.pattern import padded
 from rve.geometry.pose import Pose, mirrored
 from rve.geometry.ring_pair import cross, dot, tangent_frame
 from rve.locking.dead_load import DeadLoad
@@ -82,7 +82,7 @@ class LockedArrangements(ByValue):
         square = (self.E[None] - E[:, None]) ** 2 @ WEIGHT
         weight = 1.0 / (square + 1e-16) ** 2
         weight /= weight.sum(axis=1, keepdims=True)
-        place = np.concatenate([shares(self.pose), in_space(self.pose.centres)[..., 2:]], axis=2)
+        place = np.concatenate([shares(self.pose), padded(self.pose.centres)[..., 2:]], axis=2)
         share = np.einsum("nm,mkx->nkx", weight, place[:, 1:])
         normal = np.einsum("nm,mkx->nkx", weight, self.pose.normals)
         normal /= np.linalg.norm(normal, axis=2, keepdims=True)

@@ -20,4 +20,4 @@ from .strength import largest_factors as largest_factors
 from .strength import peak_stress as peak_stress
 from .strength import plastic_collapse as plastic_collapse
 from .strength import pulled_ring as pulled_ring
-from .strength import rupture_band as rupture_band
+from .strength import rupture_stress as rupture_stress

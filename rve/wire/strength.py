@@ -88,17 +88,16 @@ def pulled_ring(r1: float, r2: float, material: Material = STEEL, joint: str = "
     opening = [flexibility(phi, pull, ring.curved(), x).sum() for x in at]
     worst = int(peaks.argmax())
     open_at = angles[worst] if angles else None
-    last = None if angles else rupture_band(material, r2)
+    band = None if angles else rupture_stress(material)
+    last = None if band is None else (2.0 * np.pi * r2**2 * band[0], 2.0 * np.pi * r2**2 * band[1])
     return PulledRing(float(stress / peaks[worst]), float(min(loads)), float(max(opening)), open_at, last)
 
 
-def rupture_band(material: Material, r2: float) -> tuple[float, float] | None:
-    """Least and largest force in N at which a ring of this wire, drawn to a string, breaks; None if no ultimate stress
-    is known."""
-    if material.ultimate_N_per_mm2 is None:
-        return None
-    low, high = (2.0 * np.pi * r2**2 * material.ultimate_N_per_mm2 * share for share in RUPTURE)
-    return float(low), float(high)
+def rupture_stress(material: Material) -> tuple[float, float] | None:
+    """Least and largest tension over the area of the wire, N/mm2, at which rings drawn to strings break; None if no
+    ultimate stress is known."""
+    ultimate = material.ultimate_N_per_mm2
+    return None if ultimate is None else (RUPTURE[0] * ultimate, RUPTURE[1] * ultimate)
 
 
 def peak_stress(

@@ -18,6 +18,7 @@ import numpy as np
 from rve.common import Array, InputError
 from rve.common.records import Index
 from rve.common.texts import read_bytes
+from rve.geometry import padded
 
 MAX_TRIANGLES = 4_000_000
 """More cells than this are refused: some four million unknowns, 20 GB in a solver."""
@@ -77,7 +78,7 @@ def read_mesh_file(path: Path) -> Any:
             warnings.filterwarnings("error", message=".*unmatched data")  # numpy's, of words among numbers
             mesh = read_gmsh(content) if is_gmsh else _by_meshio(path, form, content)
         points = np.asarray(mesh.points, dtype=float).reshape(len(mesh.points), -1)
-        mesh.points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+        mesh.points = padded(points)
         for block in mesh.cells:
             block.data = block.data if block.dim == 3 else block.data.astype(np.int64)
             if len(block) and not 0 <= np.min(block.data) <= np.max(block.data) < len(points):
