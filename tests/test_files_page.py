@@ -15,7 +15,7 @@ FREE = {"versions", "files", "options", "sentences", "cells_by_status", "meaning
 FREE |= {"factors", "drawn_gap_mm_quantiles_0_5_25_50", "several_states"}
 """Entries whose own keys are names of packages, files, options, statuses and rows."""
 FOLDERS = {"demand", "space", "body", "limit", "every", "curtains", "compared", "tables", "found", "sized"}
-ELSEWHERE = {"not_finite", "drawing", "is_mirrored", "plugin"}
+ELSEWHERE = {"not_finite", "drawing", "is_mirrored", "plugin", "h_strings"}
 ELSEWHERE |= {"smallest_factor", "at_s", "peak_support_force_N", "peak_support_force_at_s", "reached_s"}
 """Of rows without numbers, of weaves from text, of plugins and of motions in sweeps, which have tests of their own."""
 COUNTS = {"rows", "branches"}

@@ -106,7 +106,7 @@ def job_in(out, case):
     return names, len(json.dumps(record[case.key])) if case.key == "files" else record[case.key]
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("name", CASES)
 def test_a_killed_command_leaves_the_old_or_the_new_result(inputs, tmp_path, name):
     """Killed early and late, and as soon as it writes; where it ends before, its result is the new one. Pictures follow
@@ -146,7 +146,7 @@ motion = {duration = 0.1}
 """
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_twelve_kills_of_a_motion_lose_no_step(tmp_path):
     """Each as soon as a step more is there: as many steps stay, and the run goes on to the same numbers."""
     (tmp_path / "move.toml").write_text(MOVE)
@@ -181,7 +181,7 @@ KEEPING = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("name", KEEPING)
 def test_twelve_kills_lose_no_answer(tmp_path, name):
     """Each kill comes as soon as an answer is kept; files of answers stay, and the end is that of an unbroken run."""

@@ -133,6 +133,7 @@ class DrawnRings:
 
         plotter = space.new_plotter()
         points, quads = self.tubes(64, 20)
+        r1 = float(np.max(self.r1))
         turn = space.sheet_axes(self.centre)
         right, up, front = turn
         plotter.add_mesh(
@@ -143,14 +144,14 @@ class DrawnRings:
         plotter.set_environment_texture(textured(_studio()), is_srgb=True)
         local = points @ turn.T
         low, high = local.min(axis=0), local.max(axis=0)
-        back, room = low[2] - 0.1 * self.r1, 6.0 * self.r1
+        back, room = low[2] - 0.1 * r1, 6.0 * r1
         thrown = local[:, :2] + (local[:, 2:] - back) * THROWN
         size = high[:2] - low[:2] + 2.0 * room
-        bins = np.maximum((size / (0.05 * self.r1)).astype(int), 8)
+        bins = np.maximum((size / (0.05 * r1)).astype(int), 8)
         bins = np.minimum(bins, 2048)
         ends = np.stack([low[:2] - room, high[:2] + room], axis=1)
         counts = np.histogram2d(thrown[:, 0], thrown[:, 1], bins=bins.tolist(), range=ends)[0]
-        dark = gaussian_filter((counts > 0).astype(float), 0.2 * self.r1 * bins / size)
+        dark = gaussian_filter((counts > 0).astype(float), 0.2 * r1 * bins / size)
         image = (255.0 * (1.0 - DARK * np.clip(dark, 0.0, 1.0))).astype(np.uint8).T[::-1]
         middle = np.array([*(0.5 * (low + high))[:2], back]) @ turn
         floor = pyvista.Plane(center=(0, 0, 0), direction=(0, 0, 1), i_size=size[0], j_size=size[1])

@@ -39,7 +39,7 @@ def test_edge_forces_are_those_of_the_line_load():
     assert pytest.approx(force.T @ mesh.X / area) == P
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_413_rings_let_go_at_a_corner_pass_the_steps_whose_contacts_split_and_merge():
     """At one number of force x gap the step to 0.065 s does not converge, whichever number it is."""
     scene = replace(let_go.motion_scene(let_go.SCENES[0], 4), motion=Motion(0.07, let_go.STEP))

@@ -28,7 +28,7 @@ CELLS += [(SIX_IN_ONE, ratio, 0) for ratio in (5.9433, 6.0, 10.0)] + [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(("weave", "ratio", "missed"), CELLS)
 def test_cells_from_the_jamming_limit_to_thin_wire(weave, ratio, missed):
     row = ex.ratio_row(weave, ratio)
@@ -36,7 +36,7 @@ def test_cells_from_the_jamming_limit_to_thin_wire(weave, ratio, missed):
     assert row["contradicting rows"] == 0
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(("name", "ratio"), [(name, ratio) for name in ex.RIMS for ratio in (10.0, 50.0)])
 def test_loads_at_the_boundary_of_the_tensile_cone(name, ratio):
     assert_ends(ex.rim_row(name, ratio), 48)

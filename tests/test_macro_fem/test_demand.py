@@ -355,7 +355,7 @@ def test_the_factor_on_demand_is_that_of_the_finest_law():
     assert told.weakest.split()[0] == law.weakest.split()[0]
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(
     "cell",
     [Cell(5.0, 0.5, WEAVES["6-in-1"]), Cell(5.0, 0.2, grain="x"), Cell(cells=(2, 2), centres="space")],

@@ -80,7 +80,7 @@ def test_half_of_a_mylar_balloon_on_a_coarse_mesh():
     assert np.abs(push).max() < 1e-8 * np.abs(solution.problem.force).sum()
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_mylar_balloon_to_one_percent_with_ten_cells_per_radius():
     coarse, fine = (measured(solve_problem(quarter(cells))) for cells in (5, 10))
     assert np.abs(np.array(fine) / np.array([RADIUS, THICKNESS, VOLUME]) - 1.0).max() < 0.01

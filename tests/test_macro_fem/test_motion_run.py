@@ -446,7 +446,7 @@ def test_a_hanging_chain_swings_with_its_frequency_to_second_order():
     assert kept[2][2] == pytest.approx(kept[2][0], rel=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_taut_strip_with_a_bar_swings_as_a_pendulum_of_large_amplitude():
     """T = 4 sqrt(l/g) K(sin^2(60 deg / 2)) for a strip m with a mass M at its end, l = L (M + m/3) / (M + m/2)."""
     bar, aim = 20.0, np.radians(60.0)

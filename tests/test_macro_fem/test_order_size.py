@@ -224,7 +224,7 @@ combination = [{name = "light", bar = 0.5}, {name = "heavy", bar = 1.5}, {name =
 )
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_size_is_what_runs_say_on_both_sides_and_goes_on_where_it_was(tmp_path, monkeypatch):
     """From 0.02 to 2000 kg; combinations that cannot govern are left out but at the value that holds."""
     (tmp_path / "scene.toml").write_text(COMBINED)
@@ -273,7 +273,7 @@ def test_a_size_is_what_runs_say_on_both_sides_and_goes_on_where_it_was(tmp_path
     assert len(solved) >= 11  # of another scene
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_coarser_mesh_guides_and_processes_do_not_change_the_answer(tmp_path, monkeypatch):
     monkeypatch.setattr("macro_fem.size.LARGE", 12)
     monkeypatch.setattr("macro_fem.size.LEAST_COARSE", 3)
@@ -304,7 +304,7 @@ def test_a_pitch_finer_than_the_mesh_takes_more_cells():
     assert macro_fem.largest_that_holds(two_lines, None, "pitch", (20.0, 50.0), 3.4).value == 25.0
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_wire_is_sized_with_the_law_of_its_table():
     cell = Cell(r2=0.5)
     found = macro_fem.largest_that_holds(hung(), macro_fem.OnDemand(cell), "r2", (0.5, 0.8), 0.1)

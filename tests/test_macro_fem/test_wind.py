@@ -186,7 +186,7 @@ def test_a_strip_swings_out_of_the_wind_to_a_closed_form(speed):
     assert low[2] / -low[1] == pytest.approx(per_area / weight, rel=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("speed", [12.0, 25.0, 37.0])
 def test_a_strip_in_wind_that_follows_comes_to_rest_at_a_closed_form(speed):
     """At the angle t from the vertical: q C_D cos^2 t per present area against its weight's part along the normal."""

@@ -156,7 +156,7 @@ def test_a_row_by_itself_does_as_much_work_as_its_dead_load(weave, ratio, grain,
     assert not table.unique.any()
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(("weave", "ratio", "grain"), RANDOM)
 def test_random_rows_do_as_much_work_as_their_dead_loads(weave, ratio, grain):
     rng = np.random.default_rng([7, int(ratio), grain == "x"])

@@ -367,7 +367,7 @@ def slsqp(mesh, force, held, at):
     return float(-(force * (r1 * pose.x - X)).sum())
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_generic_solver_finds_the_same_potential():
     mesh = FiniteMesh.rectangle(Cell(), 1, 1)
     force, held, at = hung(mesh, top_of(mesh))

@@ -88,7 +88,7 @@ def hoop_stress(u, basis, r):
     return YOUNG / r * ((after - before) / (2.0 * step) + radial)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("ratio", [5.0, 10.0, 20.0])
 def test_curved_beams_are_within_two_per_cent_of_a_solid_torus(ratio):
     ring, basis = Ring(ratio * R2, R2, YOUNG, POISSON), half_torus(ratio * R2)

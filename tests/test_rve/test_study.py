@@ -42,7 +42,7 @@ def test_one_command_writes_every_table_and_picture(tmp_path):
     assert found.run.history.rise.max() <= ROUND_OFF
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_all_cases_of_the_paper_give_its_figures_fall_in_energy_and_keep_their_links():
     found = study.solve_study(*grid())
     rows = {row[0]: row[2] for row in study.comparison(found)}

@@ -92,7 +92,7 @@ def loads_near_the_straight_chain(cell, count, seed):
     return S / (S[:, :1] + S[:, 2:])
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("ratio", [5.0, 7.0, 10.0, 20.0, 50.0])
 def test_loads_just_inside_rank_one_lock_in_the_state_of_largest_work(ratio):
     """The weak second load decides where on a curved face of the locking surface the cell rests."""
