@@ -6,7 +6,6 @@ How commands end: `rve.common.commands.command_line`.
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +97,7 @@ def asked_cell(grain: Any, weave: str, cells: str = "1x1", centres: Any = "plane
     asked = named_weave(weave)
     sizes = {name: ring.pop(name) for name in RING_SIZES}
     r1, r2 = radii_of(sizes, "--", sizes_of(weave))
-    check_ring_size(r1, "--r1" if sizes["r1"] else "r1")
+    check_ring_size(r1, "--r1" if sizes["r1"] else f"{weave}: r1")
     metal = material_of(ring, prefix="--")
     try:
         nx, ny = (int(part) for part in cells.split("x"))
@@ -442,7 +441,7 @@ def table_columns(record: Mapping[str, Any]) -> Row:
 def weaves(weave: str, **rest: Any) -> None:
     """Print the weaves of the catalogue, with the one of --weave where that is a file: rings of a cell, least r1/r2 and
     aspect ratio (inner diameter over wire), and mass and rings per area where such rings make a mesh."""
-    from rve.geometry.weave import WEAVES, named_weave
+    from rve.geometry.weave import WEAVES, named_weave, sizes_of
     from rve.solve import reference_cell
 
     rows = []
@@ -450,7 +449,8 @@ def weaves(weave: str, **rest: Any) -> None:
         one = named_weave(name)
         row = {"weave": one.name, "rings_a_cell": one.classes, "sizes": len({*zip(one.radii, one.wires, strict=True)})}
         row |= {"least_r1_over_r2": one.jamming_ratio, "least_aspect_ratio": one.jamming_ratio - 1.0}
-        with suppress(InputError):  # wire that is too thick for this weave
+        r1, r2 = radii_of({key: rest[key] for key in RING_SIZES}, "--", sizes_of(name))
+        if r1 > r2 * one.jamming_ratio:
             info = reference_cell(asked_cell(weave=name, **rest))
             row |= {"areal_mass_kg_per_m2": info.areal_mass_kg_per_m2, "b_x_mm": info.b_x_mm, "b_y_mm": info.b_y_mm}
             row |= {"rings_per_m2": 1e6 * one.classes / (info.b_x_mm * info.b_y_mm)}

@@ -41,6 +41,8 @@ rve simulate --out new.csv --alpha 0 --beta 45 --set h_mx=1 -> did you mean h_ma
 rve simulate --out new.csv --alpha 0 --beta 45 --set h_max -> --set h_max = '': give finite numbers VALUE
 rve simulate --out new.csv --history law.json -> law.json
 rve simulate --out table.txt --alpha 0 --beta 45 -> ends in .csv
+rve weaves --r1 0.005 --r2 0.0005 -> --r1 = 0.005: rings are from 0.1 to 200 mm; lengths are in mm, did you mean 5?
+rve weaves --r2 0 -> --r2 = 0
 rve sweep --out tables --r1 5 --r2 0.5 --ringz -> did you mean --rings?
 homogenize --verbose -> No such option: --verbose
 homogenize fit -> Missing argument 'TABLE'

@@ -46,7 +46,8 @@ def ring_cost(scene: Scene, info: CellInfo, *, space: bool = True) -> RingCost:
     if isinstance(curtain, MeshFile):
         scene.refuse('[curtain] shape = "file": has no outline of its own, use shape = "outline"')
     sheet = shapely.Polygon(curtain.corners(scene.mesh.cells), [np.array(hole) for hole in curtain.holes])
-    count = max(2, round(2 * sheet.area / (info.b_x_mm * info.b_y_mm)))
+    rings = 2 if info.pattern is None else info.pattern.classes
+    count = max(2, round(rings * sheet.area / (info.b_x_mm * info.b_y_mm)))
     memory, there = memory_GB(count), machine_GB()
     if memory > there:
         most = max((n for n in np.geomspace(10, count, 200) if memory_GB(n) < there), default=10)

@@ -1,7 +1,7 @@
 """A scene as a finite mesh of rings: its outline, loads and supports.
 
 What a finite-element mesh with one cell per reference cell of the weave holds or loads at a node goes to the nearest
-ring; a rectangle of whole cells has one there. The weight of a ring is that of its share of the reference area.
+ring; a rectangle of whole cells has one there. The weight of a ring is its share of that of the reference area.
 """
 
 from dataclasses import dataclass, replace
@@ -182,7 +182,7 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
     if released is None:
         supports = pin_sliding(supports, disc, everything, scene)
     ring, onto = _nearest_rings(mesh, disc.nodes)
-    force = padded(mesh.area[:, None] * weight + onto @ (everything - load_vector(disc, weight)))
+    force = padded(mesh.weighing_area[:, None] * weight + onto @ (everything - load_vector(disc, weight)))
     blown = (one for one in scene.of(Wind) if one.speed is not None)
     winds = ((one, onto @ load_vector(disc, wind_per_area(breeze(one), scene, info))) for one in blown)
 

@@ -231,12 +231,16 @@ def read_cell_info(record: Mapping[str, Any], where: str) -> CellInfo:
     metal = record.get("material")
     material = None if metal is None else read_typed(Material, metal, f"{where} material")
     density = sizes.pop("density_kg_per_mm3", STEEL.density_kg_per_mm3)
-    area = 0.5 * sizes["b_x_mm"] * sizes["b_y_mm"]  # of one ring, in every weave
-    mass = {"areal_mass_kg_per_m2": areal_mass(sizes["r1_mm"], sizes["r2_mm"], area, density)}
     words = {key: record[key] for key in ("weave", "grain", "reference") if key in record}
     if record.get("drawing") is not None:
         words["drawing"] = drawing_of(record["drawing"], f"{where} drawing:")
-    return read_typed(CellInfo, mass | sizes | words | {"material": material}, where)
+    info = read_typed(CellInfo, {"areal_mass_kg_per_m2": 1.0} | sizes | words | {"material": material}, where)
+    if "areal_mass_kg_per_m2" in sizes:
+        return info
+    pattern = info.pattern
+    rings = 2.0 if pattern is None else float(pattern.masses.sum())  # of the mass of one
+    mass = areal_mass(info.r1_mm, info.r2_mm, info.b_x_mm * info.b_y_mm / rings, density)
+    return replace(info, areal_mass_kg_per_m2=mass)
 
 
 def weave_sides(cell: Cell, sides_mm: tuple[float, float]) -> tuple[float, float]:

@@ -126,6 +126,9 @@ def read_weave(path: AnyPath) -> Weave:
     drawing = read_drawing(path)
     if drawing.name in WEAVES:
         raise InputError(f"{path}: name = {drawing.name}: is a weave of the catalogue; choose another name")
+    if drawing.pairs or drawing.planar_ratio is not None:
+        key = "pairs" if drawing.pairs else "planar_ratio"
+        raise InputError(f"{path}: {key}: is for the catalogue alone, and would have no effect; leave it out")
     try:
         return woven(drawing)
     except InputError as error:

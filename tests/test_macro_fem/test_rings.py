@@ -42,6 +42,14 @@ def test_corners_hold_the_corner_rings_and_the_weight_is_that_of_the_area():
     assert rings.force[:, 1].sum() == pytest.approx(-9.81 * rings.mesh.mass.sum(), rel=1e-9)
 
 
+def test_rings_of_two_sizes_are_counted_and_each_has_its_own_weight():
+    cell = Cell(5.0, 0.5, "japanese-4-in-1")
+    rings = ring_scene(scene(12, 9, reference_cell(cell).sides_mm), cell)
+    assert rings.force[:, 1] == pytest.approx(-9.81 * rings.mesh.mass, rel=1e-9)
+    assert set(rings.mesh.sizes[0]) == {1.0, 0.5}
+    assert ring_cost(rings.scene, rings.info).rings == pytest.approx(len(rings.mesh.X), rel=0.12)
+
+
 def test_live_loads_and_edges_reach_the_rings():
     loads = {
         "gravity": 0.0,

@@ -152,6 +152,8 @@ def test_the_file_of_a_law_knows_a_weave_of_ones_own():
     assert again == info
     assert again.cell() == Cell(6.0, 0.6, weave)
     assert again.is_mirrored
+    del record["areal_mass_kg_per_m2"]
+    assert read_cell_info(record, "law.json: cell").areal_mass_kg_per_m2 == pytest.approx(info.areal_mass_kg_per_m2)
 
 
 def test_command_takes_a_file_with_its_sizes(tmp_path):
@@ -230,6 +232,10 @@ def test_a_name_of_the_catalogue_is_taken(tmp_path):
     (tmp_path / "a.toml").write_text(as_text(LATTICE, FOUR, "6-in-1"), encoding="utf-8")
     with pytest.raises(InputError, match="is a weave of the catalogue"):
         read_weave(tmp_path / "a.toml")
+    for key, value in (("pairs", [[0, 1, 0, 0]]), ("planar_ratio", 3.0)):
+        (tmp_path / "a.toml").write_text(f"{key} = {value}\n{as_text(LATTICE, FOUR)}", encoding="utf-8")
+        with pytest.raises(InputError, match=f"a.toml: {key}: is for the catalogue alone"):
+            read_weave(tmp_path / "a.toml")
     with pytest.raises(InputError, match="is not one of 4-in-1, "):
         Cell(weave="5-in-1")
 
