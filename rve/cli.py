@@ -89,15 +89,24 @@ branch_options = options(
 )
 
 
+def asked_radii(weave: str, sizes: Mapping[str, Any]) -> tuple[float, float]:
+    """r1 and r2 in mm of the sizes asked for, by default those of the weave; InputError for sizes that make no ring."""
+    from rve.geometry.weave import sizes_of
+
+    r1, r2 = radii_of(sizes, "--", sizes_of(weave))
+    asked = any(size is not None for size in sizes.values())
+    check_ring_size(r1, "--r1" if sizes["r1"] is not None else "r1" if asked else f"{weave}: r1")
+    return r1, r2
+
+
 def asked_cell(grain: Any, weave: str, cells: str = "1x1", centres: Any = "plane", **ring: Any) -> Any:
     """The cell asked for; InputError for rings that no mesh has."""
     from rve.geometry.cell import Cell
-    from rve.geometry.weave import named_weave, sizes_of
+    from rve.geometry.weave import named_weave
 
     asked = named_weave(weave)
     sizes = {name: ring.pop(name) for name in RING_SIZES}
-    r1, r2 = radii_of(sizes, "--", sizes_of(weave))
-    check_ring_size(r1, "--r1" if sizes["r1"] else f"{weave}: r1")
+    r1, r2 = asked_radii(weave, sizes)
     metal = material_of(ring, prefix="--")
     try:
         nx, ny = (int(part) for part in cells.split("x"))
@@ -441,7 +450,7 @@ def table_columns(record: Mapping[str, Any]) -> Row:
 def weaves(weave: str, **rest: Any) -> None:
     """Print the weaves of the catalogue, with the one of --weave where that is a file: rings of a cell, least r1/r2 and
     aspect ratio (inner diameter over wire), and mass and rings per area where such rings make a mesh."""
-    from rve.geometry.weave import WEAVES, named_weave, sizes_of
+    from rve.geometry.weave import WEAVES, named_weave
     from rve.solve import reference_cell
 
     rows = []
@@ -449,8 +458,8 @@ def weaves(weave: str, **rest: Any) -> None:
         one = named_weave(name)
         row = {"weave": one.name, "rings_a_cell": one.classes, "sizes": len({*zip(one.radii, one.wires, strict=True)})}
         row |= {"least_r1_over_r2": one.jamming_ratio, "least_aspect_ratio": one.jamming_ratio - 1.0}
-        r1, r2 = radii_of({key: rest[key] for key in RING_SIZES}, "--", sizes_of(name))
-        if r1 > r2 * one.jamming_ratio:
+        r1, r2 = asked_radii(name, {key: rest[key] for key in RING_SIZES})
+        if not r1 <= r2 * one.jamming_ratio:  # what is no number goes on, and is refused
             info = reference_cell(asked_cell(weave=name, **rest))
             row |= {"areal_mass_kg_per_m2": info.areal_mass_kg_per_m2, "b_x_mm": info.b_x_mm, "b_y_mm": info.b_y_mm}
             row |= {"rings_per_m2": 1e6 * one.classes / (info.b_x_mm * info.b_y_mm)}

@@ -15,7 +15,7 @@ FREE = {"versions", "files", "options", "sentences", "cells_by_status", "meaning
 FREE |= {"factors", "drawn_gap_mm_quantiles_0_5_25_50", "several_states"}
 """Entries whose own keys are names of packages, files, options, statuses and rows."""
 FOLDERS = {"demand", "space", "body", "limit", "every", "curtains", "compared", "tables", "found", "sized"}
-ELSEWHERE = {"not_finite", "drawing", "is_mirrored", "plugin", "h_strings"}
+ELSEWHERE = {"not_finite", "drawing", "is_mirrored", "plugin"}
 ELSEWHERE |= {"smallest_factor", "at_s", "peak_support_force_N", "peak_support_force_at_s", "reached_s"}
 """Of rows without numbers, of weaves from text, of plugins and of motions in sweeps, which have tests of their own."""
 COUNTS = {"rows", "branches"}
@@ -57,7 +57,7 @@ def out(tmp_path_factory):
         (folder / f"{name}.toml").write_text(text)
     (folder / "loads.csv").write_text("alpha_deg,beta_deg\n0,90\n20,30\n45,45\n0,0\n0,45\n45,90\n20,80\n")
     for command in (
-        "rve table --rings --loads loads.csv --out table.csv",
+        "rve table --rings --strings --loads loads.csv --out table.csv",
         "homogenize fit table.csv --out law.json",
         "macro_fem run plane.toml --cell 5,0.5 --no-cache --accuracy 0.05 --out demand --no-picture",
         "macro_fem run space.toml --out space --no-picture",

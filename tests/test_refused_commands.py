@@ -43,6 +43,10 @@ rve simulate --out new.csv --history law.json -> law.json
 rve simulate --out table.txt --alpha 0 --beta 45 -> ends in .csv
 rve weaves --r1 0.005 --r2 0.0005 -> --r1 = 0.005: rings are from 0.1 to 200 mm; lengths are in mm, did you mean 5?
 rve weaves --r2 0 -> --r2 = 0
+rve weaves --r1 nan -> --r1 = nan: rings are from 0.1 to 200 mm
+rve weaves --r2 nan -> --r2 = nan
+rve weaves --r1 0.001 --r2 0.001 -> --r1 = 0.001: rings are from 0.1 to 200 mm
+rve ring --inner 1000 --wire 1 -> Error: r1 = 500.5: rings are from 0.1 to 200 mm
 rve sweep --out tables --r1 5 --r2 0.5 --ringz -> did you mean --rings?
 homogenize --verbose -> No such option: --verbose
 homogenize fit -> Missing argument 'TABLE'

@@ -41,13 +41,12 @@ class RingCost:
 
 def ring_cost(scene: Scene, info: CellInfo, *, space: bool = True) -> RingCost:
     """The cost of the rings of a scene, with centres in `space` or in the plane; InputError, before anything is made,
-    if they do not fit into the memory of this machine, and for a sheet without an outline."""
+    if they do not fit into the memory of this machine, for a sheet without an outline, and for no known weave."""
     curtain, (_, at_1000, power) = scene.curtain, GROWTH[linear_solver()]
     if isinstance(curtain, MeshFile):
         scene.refuse('[curtain] shape = "file": has no outline of its own, use shape = "outline"')
     sheet = shapely.Polygon(curtain.corners(scene.mesh.cells), [np.array(hole) for hole in curtain.holes])
-    rings = 2 if info.pattern is None else info.pattern.classes
-    count = max(2, round(rings * sheet.area / (info.b_x_mm * info.b_y_mm)))
+    count = max(2, round(info.cell().weave.classes * sheet.area / (info.b_x_mm * info.b_y_mm)))
     memory, there = memory_GB(count), machine_GB()
     if memory > there:
         most = max((n for n in np.geomspace(10, count, 200) if memory_GB(n) < there), default=10)
