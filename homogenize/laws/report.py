@@ -5,11 +5,11 @@ from typing import Annotated
 
 from msgspec import Meta
 
+from homogenize.laws.rows import UnitTrace
 from rve.common import Typed
 
 Count = Annotated[int, Meta(ge=0, le=1_000_000)]
 Size = Annotated[float, Meta(ge=0.0, le=1e300)]
-Component = Annotated[float, Meta(ge=-1.0, le=1.0)]
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Misfit(Typed):
     count: Count
     maximum: Size
     mean: Size
-    worst_S: tuple[Component, Component, Component]
+    worst_S: tuple[UnitTrace, UnitTrace, UnitTrace]
 
     def text(self, title: str) -> str:
         """The numbers on a line."""

@@ -16,6 +16,8 @@ from rve.common import Array, Flags, Index, JsonObject, Rows, Typed, read_typed
 from rve.common.tensor import IDENTITY, double_dot, eigenvalues, mirror, trace
 
 ROUNDING = 1e-9
+UnitTrace = Annotated[float, Meta(ge=-1.0 - 2.0 * ROUNDING, le=1.0 + 2.0 * ROUNDING)]
+"""A component of a tensile load of unit trace: of both ROUNDING may be left."""
 Component = Annotated[float, Meta(ge=-1e3, le=1e3)]
 Triples = Annotated[tuple[tuple[Component, Component, Component], ...], Meta(min_length=1, max_length=1_000_000)]
 

@@ -17,6 +17,7 @@ import numpy as np
 from msgspec import Meta
 
 from homogenize.directions import Directions, folds_of, tensile_part
+from homogenize.laws.rows import UnitTrace
 from rve import StrainTable
 from rve.common import Array, Flags, InputError, Rows, Typed, checked, read_entry, read_typed
 from rve.common.cell_fields import Joint
@@ -27,8 +28,7 @@ from rve.geometry import cauchy_line_load
 MAKE_AGAIN = "make the table again with rve table --rings, and fit the law again"
 
 Share = Annotated[float, Meta(ge=0.0, le=1e300)]
-Component = Annotated[float, Meta(ge=-1.0, le=1.0)]
-Loads = Annotated[tuple[tuple[Component, Component, Component], ...], Meta(min_length=1, max_length=1_000_000)]
+Loads = Annotated[tuple[tuple[UnitTrace, UnitTrace, UnitTrace], ...], Meta(min_length=1, max_length=1_000_000)]
 Strengths = tuple[Annotated[float, Meta(ge=1e-12, le=1e12)], ...]
 
 

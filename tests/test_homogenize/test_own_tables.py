@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 import homogenize
+import homogenize.laws
 import macro_fem
 import rve
 from homogenize.fitting import mended, normality, random_loads, rows_from_table
@@ -187,3 +188,12 @@ def test_a_table_without_mirror_images_adds_none() -> None:
     assert not rows.is_mirrored
     table = rve.StrainTable.from_pandas(rve.StrainTable.from_rows(E, S).to_pandas())
     assert np.array_equal(table.E, E)
+
+
+def test_loads_of_unit_trace_may_be_rounded_beyond_one() -> None:
+    """A load of rank one with the other principal value -2e-16 has a component of 1 + 2e-16; a report ended there."""
+    eps = float(np.finfo(float).eps)
+    worst = homogenize.laws.Misfit(1, 0.0, 0.0, (1.0 + eps, 0.0, -eps))
+    assert worst.worst_S[0] > 1.0
+    with pytest.raises(rve.InputError, match=r"worst_S\[0\] = 1.001"):
+        homogenize.laws.Misfit(1, 0.0, 0.0, (1.001, 0.0, 0.0))
