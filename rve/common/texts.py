@@ -134,6 +134,11 @@ def _parse(path: AnyPath, most: int, kind: str, parse: Callable[[str], Any]) -> 
         raise InputError(f"{path}: is not {kind} that can be read: it is nested too deeply, or too large") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not {kind}: it is no text in UTF-8; save it in this encoding") from error
+    except json.JSONDecodeError as error:
+        missing = not error.doc[error.pos :].strip() or "Unterminated" in error.msg
+        what = "the text ends too early: the file was cut off" if missing else "look for a comma, quote, or bracket"
+        said = f"line {error.lineno}, column {error.colno}: {what}" if error.doc.strip() else "it is empty"
+        raise InputError(f"{path}: is not {kind}: {said}") from error
     except (ValueError, csv.Error) as error:
         raise InputError(f"{path}: is not {kind}: {_toml_hint(content, str(error)) or error}") from error
 

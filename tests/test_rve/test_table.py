@@ -1,6 +1,7 @@
 """Table files: what is written is read, and what is wrong is named."""
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -78,9 +79,15 @@ def test_missing_and_truncated_files(small, tmp_path):
         read_table(tmp_path / "no.csv")
     path = tmp_path / "table.csv"
     write_table(small, path)
-    sidecar_path(path).write_text('{"r1_mm": ')
-    with pytest.raises(InputError, match="is not JSON"):
-        read_table(path)
+    for text, words in {
+        "": "it is empty",
+        '{"r1_mm": ': "line 1, column 11: the text ends too early: the file was cut off",
+        '{"r1_mm": "1': "line 1, column 11: the text ends too early",
+        '{"r1_mm": 1,\n "r2_mm" 2}': "line 2, column 10: look for a comma, quote, or bracket",
+    }.items():
+        sidecar_path(path).write_text(text)
+        with pytest.raises(InputError, match=re.escape(f"is not JSON: {words}")):
+            read_table(path)
 
 
 def test_ranges_that_are_none():
