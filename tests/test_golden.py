@@ -69,7 +69,10 @@ def test_meshes_of_rings(name, tmp_path, law):
         assert summary[key] == pytest.approx(kept[key], rel=1e-5), key
 
 
-@pytest.mark.parametrize("name", GOLDEN["demand"])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(k, marks=pytest.mark.release if i else pytest.mark.slow) for i, k in enumerate(GOLDEN["demand"])],
+)
 def test_runs_on_demand(name, tmp_path):
     kept = GOLDEN["demand"][name]
     scene = tmp_path / "scene.toml"

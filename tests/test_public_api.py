@@ -302,7 +302,7 @@ def data_of(outputs):
     return [output.data for output in outputs if "data" in output]
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_the_notebook_runs(answer, rings, executed):
     found = data_of(executed("five_lines.ipynb"))
     assert sum("image/png" in data for data in found) == 3  # law, curtain, rings
@@ -311,7 +311,7 @@ def test_the_notebook_runs(answer, rings, executed):
     assert str(rings) in shown
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_the_curtain_of_titanium_hangs_from_its_hooks(executed):
     outputs = executed("own_curtain.ipynb")
     text = "".join(output.get("text", "") for output in outputs)

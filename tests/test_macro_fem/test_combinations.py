@@ -190,7 +190,7 @@ def test_elastic_solves_what_rigid_solves(plane, tmp_path):
     assert list(outcomes(rows, PLANE, tmp_path).values()) == list(found)
 
 
-@pytest.mark.parametrize("is_quick", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("is_quick", [True, pytest.param(False, marks=pytest.mark.release)])
 def test_every_pair_of_keys_in_space(is_quick, tmp_path):
     """Only triangles without rounds are quick."""
     rows = [row for row in covering(SPACE) if is_quick == (row["element"] == "P1" and not {*row.values()} & ROUNDS)]

@@ -195,7 +195,7 @@ def test_a_falling_sheet_comes_to_rest_on_the_floor():
     assert told["mean_y_mm"][-1] == pytest.approx(-20.0, abs=1.0)
 
 
-@pytest.mark.parametrize("step", [{"step": 0.03}, pytest.param({}, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("step", [{"step": 0.03}, pytest.param({}, marks=pytest.mark.release)])
 def test_a_fast_ball_is_not_passed_by(step):
     sheet = {"curtain": {"width": 300.0, "height": 300.0}, "mesh": {"cells": 6}, "support": TOP | {"gather": 0.9}}
     ball = {"kind": "sphere", "radius": 40.0, "mass": 0.1, "at": [150.0, 100.0, 300.0], "velocity": [0.0, 0.0, -4e3]}
@@ -309,7 +309,7 @@ class Killed(BaseException):
     """Ends a run where it is, as a signal that cannot be caught does."""
 
 
-@pytest.mark.parametrize("command", ["run", pytest.param("rings", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("command", ["run", pytest.param("rings", marks=pytest.mark.release)])
 def test_a_run_that_is_killed_loses_no_step_and_goes_on_to_the_same_end(command, tmp_path, monkeypatch):
     """Steps of their own length, released, blown at and damped; killed before the 5th file it writes, the 10th, ..."""
     scene, count = tmp_path / "scene.toml", itertools.count(1)
@@ -430,7 +430,7 @@ def test_a_bar_dropped_into_an_elastic_strip_swings_as_one_mass(speed):
     assert peak == pytest.approx(np.sqrt((mass * G) ** 2 + k * moving * speed**2), rel=1e-2)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_hanging_chain_swings_with_its_frequency_to_second_order():
     tables = {"curtain": {"width": 125.0, "height": 1000.0}, "mesh": {"cells": 2}, "support": TOP}
     modes = find_modes(solve_scene(read_scene(tables), default_law()), 1)

@@ -325,10 +325,14 @@ def test_the_rings_of_a_cell_are_those_of_the_law_of_its_table():
     np.testing.assert_allclose(one.force, other.force, rtol=1e-6)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("columns", "rows", "kind", "gather", "height"),
-    [(5, 3, "top", 0.3, 16.2), (6, 3, "top", 0.3, 20.0), (5, 6, "corners", 0.1, 3.3), (5, 5, "corners", 0.17, 1.7)],
+    [
+        pytest.param(5, 3, "top", 0.3, 16.2, marks=pytest.mark.slow),
+        pytest.param(5, 5, "corners", 0.17, 1.7, marks=pytest.mark.slow),
+        pytest.param(6, 3, "top", 0.3, 20.0, marks=pytest.mark.release),
+        pytest.param(5, 6, "corners", 0.1, 3.3, marks=pytest.mark.release),
+    ],
 )
 def test_rings_drawn_far_together_over_a_floor_get_there_in_parts_or_from_another_start(
     columns, rows, kind, gather, height

@@ -92,7 +92,8 @@ def errors(name, found):
 
 
 QUICK = [(name, (4, 8)) for name in ("x-slanted", "y-wind")]
-ALL = [pytest.param(name, (2, 4, 8, 16), marks=pytest.mark.slow) for name in CASES]
+ALL = [pytest.param(name, (2, 4, 8, 16), marks=pytest.mark.release) for name in CASES]
+ALL += [pytest.param(name, (2, 4, 8), marks=pytest.mark.slow) for name in CASES]
 
 
 @pytest.mark.parametrize(("name", "meshes"), [*QUICK, *ALL])

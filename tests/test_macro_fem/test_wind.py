@@ -231,7 +231,7 @@ def test_drag_of_a_gathered_sheet_with_a_bar_comes_to_rest(speed, mass):
     assert -solution.reactions[:, 2].sum() == pytest.approx(wind_drags(solution)[0].drag_N, rel=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_folds_that_find_no_rest_in_drag_are_smoothed_and_the_answer_says_so():
     loads = {"wind": {"direction": [0.0, 0.0, 1.0], "speed": 18.4}, "bar": {"mass": 2.7}}
     solution = solve_problem(posed(sheet(600.0, 400.0, 12, {"kind": "hooks", "pitch": 200.0}, {}, loads)))

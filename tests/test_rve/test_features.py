@@ -17,7 +17,7 @@ TEN = Equations.of(FOUR_IN_ONE, 0.1)
     ("ratio", "alpha", "beta"),
     [
         (30.0, 43.0, 0.01),
-        pytest.param(100.0, 1.8965, 77.318, marks=pytest.mark.slow),
+        pytest.param(100.0, 1.8965, 77.318, marks=pytest.mark.release),
     ],
 )
 def test_narrow_valleys_need_a_slow_fall_of_mu(ratio, alpha, beta):
