@@ -14,6 +14,7 @@ from macro_fem.bounds.interval import admissible_problem, levels
 from macro_fem.bounds.limit import limit_levels
 from macro_fem.curtain import CurtainSolution, make_problem, solve_problem
 from macro_fem.demand import OnDemand, solve_on_demand
+from macro_fem.judged import Rupture, find_rupture
 from macro_fem.membrane import MembraneSolution
 from macro_fem.output.pictures import Pictures, draw_all
 from macro_fem.ring_summary import EveryRingSummary
@@ -29,7 +30,7 @@ from macro_fem.scene.tables import FACTORED, Combination, Load
 from macro_fem.solvers.status import COLLAPSED
 from macro_fem.summary import CurtainSummary
 from rve import Cell
-from rve.common import InputError, Progress, check_out_job, checked, heard_by, noted_if_stopped, part_of
+from rve.common import InputError, NotConverged, Progress, check_out_job, checked, heard_by, noted_if_stopped, part_of
 
 Who = MembraneLaw | LawInterval | OnDemand | EveryRing | None
 """Who answers: a law, the interval of laws of a table, a law asked of the rings on the way, or every ring; None for the
@@ -155,7 +156,7 @@ def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -
 
 def _solve_plastic(scene: Scene, law: MembraneLaw) -> MembraneSolution:
     """The curtain whose rings flow, its limit, and the curtain whose rings do not; that one alone where the loads are
-    beyond the limit."""
+    beyond the limit of rings that never become strings."""
     still = replace(scene, solver=replace(scene.solver, kind="auto", bounds=False, adapt=0))
     pose, mesh, rigid = (
         admissible_problem if scene.solver.is_bounded else make_problem,
@@ -165,13 +166,19 @@ def _solve_plastic(scene: Scene, law: MembraneLaw) -> MembraneSolution:
     limits = tuple(limit_levels(pose(scene, law, mesh)))
     with suppress(InputError):  # supports out of reach of rings that lock
         rigid = MembraneSolution(still, tuple(_steps(still, law, scene.load.steps)))
-    if not limits[-1].is_passed:
+    if scene.solver.strings or not limits[-1].is_passed:
         steps = _steps(scene, law, scene.load.steps, limits[-1].problem.mesh)
     elif rigid is None:
         scene.refuse(f"[load]: {COLLAPSED}; limit_factor = {limits[-1].factor:.4g}")
     else:
         steps = [replace(rigid.loaded, stop="collapsed")]
-    return MembraneSolution(scene, tuple(steps), limits=limits, rigid=rigid)
+    rupture: Rupture | str | None = None
+    if scene.solver.strings:
+        try:
+            rupture = find_rupture(steps[-1])
+        except NotConverged as error:
+            rupture = str(error)
+    return MembraneSolution(scene, tuple(steps), limits=limits, rigid=rigid, rupture=rupture)
 
 
 def solve_every_ring(scene: Scene, who: EveryRing) -> EveryRingSolution:

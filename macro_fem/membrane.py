@@ -16,12 +16,16 @@ from macro_fem.bounds.interval import CurtainBounds
 from macro_fem.bounds.limit import CurtainLimit
 from macro_fem.curtain import CurtainSolution, forces_note, with_forces
 from macro_fem.judged import (
+    Rupture,
     change_of_forces,
     combination_rows,
     envelope,
     judge,
+    live_way,
     obstacle_forces,
+    plastic_work,
     settling_of,
+    string_stress,
     support_forces,
 )
 from macro_fem.output import files
@@ -56,7 +60,8 @@ class MembraneSolution(Solution):
     """A solved scene: the curtain at each of the load `steps`; `levels` of a scene that asks for bounds, each a finer
     mesh than the one before; `demand` of one whose law was asked of the rings; the answers to `combinations` of loads;
     the curtain on a `coarser` mesh, where forces of single hooks are compared. Of rings that flow the `limits`, each
-    on a finer mesh than the one before, and the answer of rings that do not, `rigid`, None where there is none.
+    on a finer mesh than the one before, and the answer of rings that do not, `rigid`, None where there is none; where
+    strings break under the live loads, or why it is not known.
     """
 
     scene: Scene
@@ -67,6 +72,7 @@ class MembraneSolution(Solution):
     coarser: CurtainSolution | None = None
     limits: tuple[CurtainLimit, ...] = ()
     rigid: MembraneSolution | None = None
+    rupture: Rupture | str | None = None
 
     @property
     def solution(self) -> CurtainSolution:
@@ -99,7 +105,7 @@ class MembraneSolution(Solution):
             bounds = files.interval_summary(self.levels)
         if self.limits:
             rigid = None if self.rigid is None or self.rigid.solution.status != "converged" else self.rigid.loaded
-            numbers = files.with_limit(numbers, self.limits[-1], self.loaded, rigid)
+            numbers = files.with_limit(numbers, self.limits[-1], self.loaded, rigid, self.rupture)
         if (demand := self.demand) is not None:
             asked, wall_s = demand.asked(), demand.turns[-1].wall_s
             numbers = replace(numbers, status=demand.status, message=demand.message, wall_s=wall_s)
@@ -140,9 +146,18 @@ class MembraneSolution(Solution):
                 mean_height_mm=one.mean_height(),
                 lowest_point_mm=float(one.x[:, 1].min()),
                 potential_primal_N_mm=one.primal,
+                **self._of_flow(one),
             )
             for step, one in enumerate(self.steps, 1)
         )
+
+    @staticmethod
+    def _of_flow(step: CurtainSolution) -> dict[str, float | None]:
+        """Force over way, of rings that flow."""
+        if step.tau is None:
+            return {}
+        keys = ("way_mm", "plastic_work_N_mm", "strings_stress_N_per_mm2")
+        return dict(zip(keys, (live_way(step), plastic_work(step), string_stress(step)), strict=True))
 
     def drawings(self, wanted: Pictures) -> Drawings:
         wanted.check(self.scene)

@@ -162,6 +162,12 @@ class Limit(Table):
     plastic_area_share: float | None = None
     largest_plastic_strain: float | None = None
     largest_plastic_strain_at_mm: Numbers | None = None
+    plastic_work_N_mm: float | None = None
+    strings_stress_N_per_mm2: float | None = None
+    rupture_stress_N_per_mm2: Numbers | None = None
+    rupture_factor: Numbers | None = None
+    way_at_rupture_mm: Numbers | None = None
+    energy_until_rupture_N_mm: Numbers | None = None
 
     @property
     def limit_of_mesh(self) -> float | None:
@@ -458,6 +464,9 @@ class LoadStep(Table):
     mean_height_mm: float
     lowest_point_mm: float
     potential_primal_N_mm: float
+    way_mm: float | None = None
+    plastic_work_N_mm: float | None = None
+    strings_stress_N_per_mm2: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

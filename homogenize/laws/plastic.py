@@ -14,11 +14,14 @@ Collapse loads of rows make a star that need not be convex. Its hull is not safe
 at a load c N^-1 = kappa at which no row (F, S) bears more than its own collapse load: a G with kappa_j |G L_j| <= 1 for
 all j and (F S):G >= g bounds it. Strips drawn to a line, G = a (x) n, are looked at first, and the strength along both
 axes of the weave is kept; then every row with G = F.
+
+Rings that are drawn out end as strings, which stretch no more: half-spaces |F L| <= c_2, c_2^2 = 2 h_strings + tr S,
+beside those that tau widens, so that the law is (I_K with D added by inf-convolution) + I_K2.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -31,9 +34,12 @@ from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, Response, che
 from homogenize.laws.strength import MAKE_AGAIN, Strength
 from rve.common import Array, ByValue, InputError, checked
 from rve.common.tensor import IDENTITY, WEIGHT, disc, dyad, eigenvalues, mirror
+from rve.locking import string_states
 
 FIBRES = 180
 """Directions of strips, over half a turn. Half as many leave strips between them 1e-4 stronger than their strength."""
+STARTS = 6
+"""Lattices from which strings are drawn. Four times as many find the same h to 1e-15 in 4-in-1 and 6-in-1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,16 +130,42 @@ def _within_rows(S: Array, kappa: Array, strips: Array, known: Strength, C: Arra
 
 
 @dataclass(frozen=True, eq=False)
+class Strings(ByValue):
+    """Rings drawn to strings: h (n,) of loads S (n, 3) of unit trace; wire: the tension over its cross-section under
+    line loads, as `Strength.collapse_at` tells it."""
+
+    S: Array
+    h: Array
+    wire: Strength
+
+
+@lru_cache(maxsize=4)
+def _strings(law: PolyhedralLaw) -> Strings:
+    """The strings of a law at the loads of its strength, found once; InputError where rings are no strings."""
+    known, info = law.strength, law.cell
+    assert known is not None
+    if info is None or info.pattern is None or known.joint != "welded":
+        why = "butted rings open before" if known.joint != "welded" else "the law does not tell its weave"
+        raise InputError(f"strings: {why}; fit a law of welded rings with its cell")
+    found = string_states(info.cell(), known.S, info.sides_mm, STARTS)
+    S, h = (np.vstack([known.S, mirror(known.S)]), np.tile(found.h, 2)) if known.is_mirrored else (known.S, found.h)
+    first = each_once(disc(S))
+    return Strings(S[first], h[first], replace(known, collapse=found.stress, error=None))
+
+
+@dataclass(frozen=True, eq=False)
 class PlasticLaw(MembraneLaw):
     """The law `own` whose rings flow at the safe limit surface: half-spaces S (n, 3), h (n,), widened by N tau, N (n,)
-    in mm/N; difference: see `LimitSurface`. Cuts are those of strains with tau and tau^2 / 2, (n, 5), or with
-    `is_limit` of C / 2, 0, tau^2 / 2, C = F^T F: what is left where a curtain is stretched without end."""
+    in mm/N, which is 0 for those of `strings`; difference: see `LimitSurface`. Cuts are those of strains with tau and
+    tau^2 / 2, (n, 5), or with `is_limit` of C / 2, 0, tau^2 / 2, C = F^T F: what is left where a curtain is stretched
+    without end."""
 
     own: PolyhedralLaw
     S: Array
     h: Array
     N: Array
     difference: float
+    strings: Strings | None = None
     is_limit: bool = False
 
     name = property(lambda self: self.own.name)
@@ -159,6 +191,11 @@ class PlasticLaw(MembraneLaw):
     def elastic(self) -> MembraneLaw:
         return self.own.elastic()
 
+    def without_strings(self, *, is_limit: bool = False) -> PlasticLaw:
+        """The law of rings that flow as far as the curtain likes."""
+        S, h, N = (of[self.N > 0.0] for of in (self.S, self.h, self.N))
+        return PlasticLaw(self.own, S, h, N, self.difference, is_limit=is_limit)
+
     @cached_property
     def _body(self) -> Polyhedron:
         wider = -self.N * np.sqrt(2.0 * self.h + 1.0), -(self.N**2)
@@ -168,10 +205,16 @@ class PlasticLaw(MembraneLaw):
 
 
 @checked
-def plastic_law(law: MembraneLaw) -> PlasticLaw:
-    """The law of a curtain whose rings flow; InputError for laws without a limit surface, or without yield stress."""
+def plastic_law(law: MembraneLaw, *, strings: bool = False) -> PlasticLaw:
+    """The law of a curtain whose rings flow, on request until they are strings; InputError for laws without a limit
+    surface, without yield stress, or of rings that are no strings."""
     surface = limit_surface(law)
     assert isinstance(law, PolyhedralLaw)
     assert law.strength is not None
     N = surface.safe / surface.c / law.strength.yield_stress()
-    return PlasticLaw(law, surface.S, 0.5 * (surface.c**2 - 1.0), N, surface.difference)
+    flowing = PlasticLaw(law, surface.S, 0.5 * (surface.c**2 - 1.0), N, surface.difference)
+    if not strings:
+        return flowing
+    last = _strings(law)
+    S, h, N = (np.concatenate(pair) for pair in ((flowing.S, last.S), (flowing.h, last.h), (N, 0.0 * last.h)))
+    return replace(flowing, S=S, h=h, N=N, strings=last)

@@ -108,7 +108,7 @@ class CurtainProblem:
     @cached_property
     def plastic_law(self) -> HungLaw:
         """The law of a curtain whose rings flow."""
-        return self.law.plastic()
+        return self.law.plastic(strings=self.scene.solver.strings)
 
 
 def make_problem(

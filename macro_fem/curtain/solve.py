@@ -80,6 +80,8 @@ def solve_convex(problem: CurtainProblem, start: CurtainSolution | None = None) 
     elif problem.walls.stuck(problem.fem) > TOUCHED * problem.mesh.size:
         result = _unsolved(problem, "blocked")
     else:
+        if problem.scene.solver.is_plastic:  # of ten paths that began at rings which flow one did not end
+            start = None
         cones, x = problem.cones, gathered_start(problem) if start is None else slackened(start, SOLVE.inward)
         if cones is None and start is not None and start.problem.disc.n_points == problem.disc.n_points:
             cones = start.cones
@@ -136,8 +138,9 @@ def _solve_within_reach(
         return solve_path(problem.fem, law, load, z, size, replace(options, least_gap=SOLVE.elastic_gap), terms), None
 
     if problem.scene.solver.is_plastic:
-        terms = Terms(walls=problem.walls, flow=Flow(strength_at_points(problem, problem.disc)))
-        return solve_path(problem.fem, problem.plastic_law, load, z, size, options, terms), None
+        law = problem.plastic_law
+        terms = Terms(walls=problem.walls, flow=Flow(strength_at_points(problem, problem.disc), law.flowing()))
+        return solve_path(problem.fem, law, load, z, size, options, terms), None
 
     def solve(fem: SupportedFem, z: Array, options: PathOptions, walls: Walls) -> PathResult:
         return solve_path(fem, problem.law, load, z, size, options, Terms(walls=walls))
@@ -167,7 +170,7 @@ def make_solution(
         stop=result.stop,
         asked=replace(result.asked, gap=result.asked.gap + 2.0 * allowance / scale),
         x=x,
-        inner=InnerForces(result.P, result.S, tension, result.wall_forces),
+        inner=InnerForces(result.P, result.S, tension, result.wall_forces, result.S_strings),
         primal=stored - work,
         dual=result.dual + shift - allowance - held_part,
         iterations=result.iterations,

@@ -17,13 +17,15 @@ from rve.common import Array
 @dataclass(frozen=True, eq=False)
 class InnerForces:
     """Line loads at the points, P = F S (nq, d, 2) and S (nq, 3), in N per mm of reference length; the even tension in
-    N/mm that P balances besides the load; wall_forces (m,), N: the push of each half-space along its normal.
+    N/mm that P balances besides the load; wall_forces (m,), N: the push of each half-space along its normal. S_strings
+    (nq, 3): the part of S that rings drawn to strings bear, None where rings do not flow.
     """
 
     P: Array
     S: Array
     tension: float = 0.0
     wall_forces: Array = field(default_factory=lambda: np.zeros(0))
+    S_strings: Array | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

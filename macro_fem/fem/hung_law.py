@@ -58,14 +58,15 @@ class HungLaw:
     def elastic(self) -> HungLaw:
         return replace(self, own=elastic_law(self.own))
 
-    def plastic(self) -> HungLaw:
-        """The law of rings that flow; InputError where their strength is not known."""
-        return replace(self, own=plastic_law(self.own))
+    def plastic(self, *, strings: bool = False) -> HungLaw:
+        """The law of rings that flow, on request until they are strings; InputError by `plastic_law`."""
+        return replace(self, own=plastic_law(self.own, strings=strings))
 
-    def limit(self) -> HungLaw:
-        """What is left of a law of rings that flow where the curtain is stretched without end."""
+    def flowing(self, *, is_limit: bool = False) -> HungLaw:
+        """The law of rings that flow without their strings; with `is_limit` what is left of it where the curtain is
+        stretched without end."""
         assert isinstance(self.own, PlasticLaw)
-        return replace(self, own=replace(self.own, is_limit=True))
+        return replace(self, own=self.own.without_strings(is_limit=is_limit))
 
 
 def rotation_on_triples(angle_deg: float) -> Array:

@@ -12,10 +12,13 @@ from macro_fem.bounds.limit import CurtainLimit
 from macro_fem.curtain import CurtainProblem, CurtainSolution, CurtainState, forces_by, forces_note, wind_drags
 from macro_fem.fem.cells import counterclockwise
 from macro_fem.judged import (
+    Rupture,
     collapse_at_points,
     judge_line_loads,
     judge_strength,
     links,
+    plastic_work,
+    string_stress,
     support_forces,
     utilisation,
 )
@@ -104,10 +107,15 @@ def with_weakest(found: CurtainNumbers) -> CurtainNumbers:
 
 
 def with_limit(
-    numbers: CurtainNumbers, limit: CurtainLimit, solution: CurtainSolution, rigid: CurtainSolution | None
+    numbers: CurtainNumbers,
+    limit: CurtainLimit,
+    solution: CurtainSolution,
+    rigid: CurtainSolution | None,
+    rupture: Rupture | str | None,
 ) -> CurtainNumbers:
-    """The numbers of a curtain whose rings flow, with its limit; utilisation, first yield and collapse of the worst
-    cell are those of the curtain that is `rigid`, None where there is none."""
+    """The numbers of a curtain whose rings flow, with its limit and where strings break or why that is not known;
+    utilisation, first yield and collapse of the worst cell are those of the curtain that is `rigid`, None where there
+    is none."""
     law, beyond, notes = limit.problem.plastic_law.own, solution.stretch_beyond_locking, list[str]()
     assert isinstance(law, PlasticLaw)
     # Ratio of the hull of collapse loads to the safe set from which it is told.
@@ -117,8 +125,11 @@ def with_limit(
         notes.append(f"the solver of the limit ended as {limit.status}: the interval is as wide as it is known")
     most = float(beyond.max())
     # Stretch beyond locking with which rings count as strings: those of three-ring chains break at some 0.57.
-    if most > 0.5:
-        notes.append(f"{digits(100.0 * most)} % beyond locking rings are strings, of which the law knows nothing")
+    if most > 0.5 and law.strings is None:
+        asked = "of which the law knows nothing without [solver] strings = true"
+        notes.append(f"{digits(100.0 * most)} % beyond locking rings are strings, {asked}")
+    if isinstance(rupture, str):
+        notes.append(f"where strings break is not known: {rupture}")
     is_loaded, points = np.isfinite(limit.factor), None if rigid is None else collapse_at_points(rigid)
     weight, flows = solution.problem.disc.weight, beyond > 1e-6  # the solver leaves some 1e-8
     parts = Limit(
@@ -129,7 +140,17 @@ def with_limit(
         plastic_area_share=float(weight @ flows / weight.sum()),
         largest_plastic_strain=most,
         largest_plastic_strain_at_mm=solution.problem.disc.points[beyond.argmax()].tolist(),
+        plastic_work_N_mm=plastic_work(solution),
+        strings_stress_N_per_mm2=string_stress(solution),
     )
+    if isinstance(rupture, Rupture):
+        parts = replace(
+            parts,
+            rupture_stress_N_per_mm2=rupture.stress,
+            rupture_factor=rupture.factor,
+            way_at_rupture_mm=rupture.way,
+            energy_until_rupture_N_mm=rupture.energy,
+        )
     none = dict.fromkeys(one.name for one in fields(Utilisation))
     judged = none if rigid is None else judge_strength(rigid).parts()
     too_low = None if not limit.is_coarse else COARSE_POINTS.format(limit.problem.disk_of_cell)

@@ -57,6 +57,8 @@ def _contradictions(scene: Scene) -> Iterator[str]:
         check_bounds(scene, "[solver] bounds and adapt:")
     if scene.solver.is_plastic:
         yield from _of_flow(scene)
+    elif scene.solver.strings:
+        yield "[solver] strings: has no effect without kind = 'plastic', as only rings that flow become strings"
     for kind, items in (("body", scene.of(Ball)), ("obstacle", scene.obstacle)):
         names = [item.name for item in items]
         for name in {name for name in names if names.count(name) > 1}:

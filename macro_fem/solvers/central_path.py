@@ -222,12 +222,13 @@ def _make_result(place: _Place, stop: str, inner: _Place, steps: int, options: P
     program, y = place.program, place.state.y
     tail = y.tail[:, program.lead :]
     excess = place.now.dual * program.scale / float((program.w * y.head * program.c).sum())
+    lam = program.carried(y) / (program.c if program.flow else place.state.s.head)
     return PathResult(
         stop=stop,
         evidence=answer.evidence,
         asked=options.accuracy,
         z=answer.state.z,
-        S=program.cones.stress(program.carried(y) / (program.c if program.flow is None else place.state.s.head)),
+        S=program.cones.stress(lam),
         psi=program.cones.sum(program.c * np.sqrt(soc.row_dot(tail, tail))),
         cones=program.cones,
         P=-program.pull(y)[0],
@@ -237,6 +238,7 @@ def _make_result(place: _Place, stop: str, inner: _Place, steps: int, options: P
         reach=Reach(0.0, 1.0 / (1.0 + excess)) if stop == "infeasible" else FREE,
         wall_forces=program.rows.reactions(place.state.u),
         tau=answer.tau,
+        S_strings=program.cones.stress(lam * (program.N[:, 0] == 0.0)) if program.flow else None,
     )
 
 
@@ -246,7 +248,7 @@ def find_flow(program: Program, z: Array) -> Array:
     F, tau = program.fem.gradient(z), np.zeros(len(program.fem.disc.weight))
     C = 2.0 * green_strain(F) + IDENTITY
     for _ in range(STOP.patience):
-        cut = all_cuts(program.law, program.locked(F, tau[:, None]))
+        cut = all_cuts(program.flow.law, program.locked(F, tau[:, None]))
         assert cut.extra is not None
         radius = np.sqrt(np.maximum((cut.S * WEIGHT * C).sum(axis=1), 0.0))
         offset = np.sqrt(2.0 * cut.h + 1.0) * (not program.is_limit)

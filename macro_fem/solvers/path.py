@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.status import FREE, Evidence, Judged, Reach, Verdict, judged
@@ -98,10 +99,12 @@ def times(W: Array, v: Array) -> Array:
 @dataclass(frozen=True, eq=False)
 class Flow:
     """Rings that flow, by a `PlasticLaw`: strength (nq,), by how many times those at each point are stronger than those
-    of the law; is_limit: whether the largest factor on the load is asked for, and the way on which rings flow under it.
+    of the law; law: that of the half-spaces which they widen; is_limit: whether the largest factor on the load is asked
+    for, and the way on which rings flow under it.
     """
 
     strength: Array
+    law: MembraneLaw
     is_limit: bool = False
 
 
@@ -131,8 +134,8 @@ class PathResult(Judged):
     obeyed, `dual` a lower bound of it, N mm, without the constant that supports add. Equilibrated stress in N per mm of
     reference length: P (nq, d, 2), and tensile S = sum of lam_i S_i (nq, 3), with P = F S at the exact answer; psi
     (nq,): sum of c |y_FL|, no less than any P:F in the law. wall_forces (m,), N: the reaction of each half-space.
-    Of rings that flow tau (nq,), N/mm, is the plastic work per area; where their limit is asked for, `dual` and
-    `primal` bound the factor on the load.
+    Of rings that flow tau (nq,), N/mm, is the plastic work per area, and S_strings (nq, 3) what strings bear of S;
+    where their limit is asked for, `dual` and `primal` bound the factor on the load.
     """
 
     stop: str
@@ -149,6 +152,7 @@ class PathResult(Judged):
     wall_forces: Array
     reach: Reach = FREE
     tau: Array | None = None
+    S_strings: Array | None = None
 
     @cached_property
     def verdict(self) -> Verdict:

@@ -1,0 +1,95 @@
+"""Rings drawn to strings: the tension in their wire, and the live loads under which it breaks, as a band.
+
+Published strings broke at 0.30 to 0.56 of twice the ultimate load of their wire, so what follows from them, factor on
+the live loads, way, and energy, are intervals too (`rve.wire.rupture_stress`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from scipy.optimize import brentq
+
+from homogenize.laws import PlasticLaw
+from macro_fem.curtain import CurtainSolution, make_problem, solve_problem
+from macro_fem.scene.loads import nodal_forces
+from macro_fem.solvers.status import Status
+from rve.common import NotConverged, part_of
+from rve.wire import rupture_stress
+
+MOST_DOUBLED = 20
+"""How often loads are doubled or halved at most to find those that break strings."""
+ROUGH = 5e-3
+"""Logarithm of a factor to which it is found; the band of rupture is a hundred times as wide."""
+
+
+@dataclass(frozen=True)
+class Rupture:
+    """Where strings break, as the least and the largest of: tension over the area of the wire, N/mm2; factor on the
+    live loads; mean way of the loaded points along them from where they are drawn, mm; plastic work until then, N mm.
+    """
+
+    stress: list[float]
+    factor: list[float]
+    way: list[float]
+    energy: list[float]
+
+
+def string_stress(solution: CurtainSolution) -> float | None:
+    """The largest tension over the area of the wire, N/mm2; None where rings never are strings."""
+    law, S = solution.problem.plastic_law, solution.inner.S_strings
+    assert isinstance(law.own, PlasticLaw)
+    if S is None or law.own.strings is None:
+        return None
+    return float(law.own.strings.wire.collapse_at(law.in_weave(S)).max())
+
+
+def plastic_work(solution: CurtainSolution) -> float | None:
+    """The energy in N mm that rings which flow have taken up; None where they do not flow."""
+    return None if solution.tau is None else float(solution.problem.disc.weight @ solution.tau)
+
+
+def live_way(solution: CurtainSolution) -> float | None:
+    """The mean way in mm of the loaded points along the live loads, from where they are drawn; None without any."""
+    one = solution.problem
+    full, none = (nodal_forces(one.scene, one.mesh, one.disc, one.law.cell, factor) for factor in (1.0, 0.0))
+    live = full - none
+    size = float(np.linalg.norm(live, axis=1).sum())
+    return float((live * solution.displacement).sum() / size) if size else None
+
+
+def find_rupture(solution: CurtainSolution) -> Rupture | None:
+    """Where strings break under the live loads of a solved curtain; None without live loads, strings or an ultimate
+    stress. NotConverged where a curtain on the way is not solved, or no load breaks strings.
+    """
+    problem = solution.problem
+    assert isinstance(problem.plastic_law.own, PlasticLaw)
+    strings = problem.plastic_law.own.strings
+    band = None if strings is None else rupture_stress(strings.wire.material)
+    if band is None or live_way(solution) is None:
+        return None
+
+    @cache
+    def at(log: float) -> list[float]:
+        factor = float(np.exp(log))
+        with part_of(f"{problem.disc.n_cells} cells, {factor:.3g} times the live loads"):
+            found = solve_problem(make_problem(problem.scene, problem.law.own, problem.mesh, factor))
+        if found.status != Status.CONVERGED:
+            raise NotConverged(f"the curtain under {factor:.3g} times the live loads ends as {found.status}")
+        return [factor, live_way(found) or 0.0, plastic_work(found) or 0.0, string_stress(found) or 0.0]
+
+    ends = [at(_crossing(lambda log, limit=limit: at(log)[3] / limit - 1.0)) for limit in band]  # type: ignore[misc]
+    return Rupture(list(band), *([low, high] for low, high in zip(*(end[:3] for end in ends), strict=True)))
+
+
+def _crossing(excess: Callable[[float], float]) -> float:
+    """The logarithm of the factor at which a rising function is 0; NotConverged if it does not change its sign."""
+    step = np.log(2.0) * (1.0 if excess(0.0) < 0.0 else -1.0)
+    for k in range(MOST_DOUBLED):
+        ends = k * step, (k + 1) * step
+        if excess(ends[1]) * step >= 0.0:
+            return float(brentq(excess, *ends, xtol=ROUGH))
+    raise NotConverged("no live load breaks the strings, or the other loads alone do")

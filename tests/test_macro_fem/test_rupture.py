@@ -1,0 +1,128 @@
+"""Rings that flow until they are strings: length and work of a strip, force over way of a net, and where it breaks."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from homogenize import default_law
+from homogenize.laws import plastic_law
+from macro_fem import read_scene, solve
+from macro_fem.judged import find_rupture, string_stress
+from rve import InputError
+from rve.common import digits
+from rve.common.tensor import double_dot
+from rve.locking import string_states
+from tests.commands import run
+from tests.test_macro_fem.test_plastic import ALONG, capacity, pulled
+
+LAW = default_law()
+
+STRINGS = {"kind": "plastic", "strings": True}
+
+
+def net(force, cells=4, steps=1, radius=100.0, **solver):
+    """Tables of a net of 600 mm held along all of its edges, pushed across by a patch in its middle."""
+    return {
+        "curtain": {"width": 600.0, "height": 600.0},
+        "mesh": {"cells": cells},
+        "support": [{"kind": "edge", "edge": edge} for edge in ("left", "right", "top", "bottom")],
+        "load": {
+            "gravity": 0.0,
+            "steps": steps,
+            "patch": [{"at": [300.0, 300.0], "radius": radius, "force": [0.0, 0.0, force]}],
+        },
+        "solver": STRINGS | {"space": True} | solver,
+    }
+
+
+@pytest.mark.parametrize("times", [0.99, 1.01, 4.0])
+def test_a_strip_flows_until_it_is_as_long_as_its_strings(times):
+    """Held along y only, as strings that are pulled lie side by side. Its load does not grow while it flows."""
+    tables = pulled([0.0, -times * capacity()])
+    tables |= {"support": {"kind": "edge", "edge": "top", "held": "y"}, "solver": STRINGS}
+    found, law = solve(read_scene(tables), LAW), LAW
+    way = 300.0 * (np.sqrt(1.0 + 2.0 * string_states(law.cell.cell(), ALONG, law.cell.sides_mm).h[0]) - 1.0)
+    way *= times > 1.0
+    assert found.status == "converged"
+    assert -found.solution.x[:, 1].min() == pytest.approx(way, abs=1e-4)
+    assert found.summary.plastic_work_N_mm == pytest.approx(capacity() * 200.0 * way, rel=1e-6, abs=1e-2)
+    assert (string_stress(found.solution) > 1e-3) == (times > 1.0)
+    assert (found.summary.limit_factor < 1.0) == (times > 1.0)
+
+
+def test_the_energy_of_a_net_is_force_times_way_and_no_strain_is_beyond_its_strings():
+    found, law, rng = solve(read_scene(net(8000.0, steps=10)), LAW), LAW, np.random.default_rng(5)
+    steps = found.summary.steps
+    force, way, work = (
+        np.array([getattr(one, key) for one in steps]) for key in ("factor", "way_mm", "plastic_work_N_mm")
+    )
+    taken = np.concatenate([[0.0], np.cumsum(0.5 * 8000.0 * (force[1:] + force[:-1]) * np.diff(way))])
+    assert work - work[0] == pytest.approx(taken, rel=0.01)  # the trapezoidal rule
+    assert (np.diff(work) > 0.0).all()
+    assert (np.diff(way) > 0.0).all()
+    stress = [one.strings_stress_N_per_mm2 for one in steps]
+    assert stress[0] < 1e-6
+    assert stress[-1] > 10.0
+    principal = rng.normal(size=(8, 2, 2))
+    S = (principal @ principal.transpose(0, 2, 1)).reshape(8, 4)[:, [0, 1, 3]]
+    S /= S[:, [0, 2]].sum(axis=1)[:, None]
+    h = string_states(law.cell.cell(), S, law.cell.sides_mm).h
+    assert (double_dot(S[:, None], found.solution.E[None]) - h[:, None]).max() < 0.01  # 0.004 between the rows
+
+
+def test_a_net_breaks_at_the_band_of_its_strings():
+    summary = solve(read_scene(net(3000.0)), LAW).summary
+    first, last = summary.rupture_factor
+    assert first < last
+    assert np.diff(summary.way_at_rupture_mm)[0] > 0.0
+    assert np.diff(summary.energy_until_rupture_N_mm)[0] > 0.0
+    broken = solve(read_scene(net(3000.0 * first)), LAW).summary
+    assert broken.strings_stress_N_per_mm2 == pytest.approx(summary.rupture_stress_N_per_mm2[0], rel=0.05)
+    assert broken.plastic_work_N_mm == pytest.approx(summary.energy_until_rupture_N_mm[0], rel=0.01)
+
+
+@pytest.mark.slow
+def test_the_energy_under_a_push_grows_with_the_mesh_to_a_limit():
+    works = [solve(read_scene(net(4000.0, cells)), LAW).summary.plastic_work_N_mm for cells in (3, 6, 12)]
+    first, second = np.diff(works)
+    assert first > second > 0.0
+    assert second < 0.05 * works[-1]
+
+
+def test_strings_that_are_none_are_refused_or_said():
+    law = LAW
+    butted = replace(law, strength=replace(law.strength, joint="butted"))
+    with pytest.raises(InputError, match="butted rings open before"):
+        plastic_law(butted, strings=True)
+    with pytest.raises(InputError, match="does not tell its weave"):
+        plastic_law(replace(law, cell=replace(law.cell, weave=None)), strings=True)
+    with pytest.raises(InputError, match=r"strings: has no effect without kind = 'plastic'"):
+        solve(read_scene(net(1000.0, kind="rigid")), law)
+
+
+def test_the_command_says_where_strings_break(tmp_path):
+    tables = net(3000.0, 2)
+    scene = tmp_path / "net.toml"
+    patch = tables["load"]["patch"][0]
+    scene.write_text(
+        "curtain = {width = 600.0, height = 600.0}\nmesh = {cells = 2}\n"
+        + "".join(f'[[support]]\nkind = "edge"\nedge = "{one["edge"]}"\n' for one in tables["support"])
+        + f"[load]\ngravity = 0.0\n[[load.patch]]\nat = {patch['at']}\nradius = 100.0\nforce = {patch['force']}\n"
+        + '[solver]\nkind = "plastic"\nstrings = true\nspace = true\n'
+    )
+    done = run("macro_fem", "run", scene, "--out", tmp_path / "out", "--no-picture")
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    low, high = (digits(1e-3 * one) for one in summary["energy_until_rupture_N_mm"])
+    assert f"{low} to {high} J" in done.output
+    assert "strings break at" in done.output
+
+
+def test_without_live_loads_nothing_breaks():
+    tables = net(0.0, 2)
+    tables["load"] = {}
+    tables["solver"] |= {"space": False}
+    found = solve(read_scene(tables), LAW)
+    assert find_rupture(found.solution) is None
+    assert found.summary.rupture_factor is None
