@@ -85,10 +85,13 @@ def test_a_net_breaks_at_the_band_of_its_strings():
 
 @pytest.mark.slow
 def test_the_energy_under_a_push_grows_with_the_mesh_to_a_limit():
-    works = [solve(read_scene(net(4000.0, cells)), LAW).summary.plastic_work_N_mm for cells in (3, 6, 12)]
-    first, second = np.diff(works)
-    assert first > second > 0.0
-    assert second < 0.05 * works[-1]
+    """On 38 to 480 triangles, of which the finest stalled where forces were balanced long after the gap closed."""
+    answers = [solve(read_scene(net(4000.0, cells, radius=200.0)), LAW) for cells in (3, 6, 12)]
+    assert [one.status for one in answers] == ["converged"] * 3
+    for values in ([one.summary.plastic_work_N_mm for one in answers], [-one.solution.primal for one in answers]):
+        first, second = np.diff(values)
+        assert first > 2.0 * second > 0.0
+        assert second < 0.06 * values[-1]
 
 
 def test_strings_that_are_none_are_refused_or_said():
