@@ -41,6 +41,8 @@ from macro_fem.rings import EveryRingSolution
 from rve import WEAVES, Cell, Material, pulled_ring, reference_cell
 from rve.common.materials import STEEL
 from rve.common.ring_sizes import gauge_mm
+from rve.geometry import supercell
+from rve.geometry.slack import loosen
 from rve.piece import ring_facts
 from rve.simulation import solve_study
 
@@ -64,10 +66,10 @@ BANDS = (
 """Mandrel in 1/64 inch, AWG, rings per inch of a band of five rows, inches per troy ounce of sterling silver."""
 LEAST_MANDRELS = ((14, 8), (16, 6), (18, 5))
 """Gauge, least mandrel in 1/32 inch for 4-in-1."""
-LENGTH, ROWS, FALLEN = 1000.0, 16, 0.95
+LENGTH, ROWS, FALLEN = 1000.0, 32, 0.95
 """Strips in motion: mm, cells along it, and the share of its length that a free end has fallen when it is timed."""
-RINGS = 2, 12
-"""Cells of the folded strip ring by ring, across and along."""
+RINGS, APART = (2, 16), 25.0
+"""Cells of the folded strip ring by ring, across and along, and the mm between its legs: rings jam in tighter folds."""
 PULLEY = 12, 120.0
 """Cells along the strip over a pulley, and its radius in mm."""
 DRAPED, ON = 60.0, 0.6
@@ -136,6 +138,9 @@ def aspect_ratios() -> list[Row]:
     for name, ratio in told:
         ours = [limits[name] / (1.0 + s) for s in sorted(SPRINGBACK)]
         rows.append(number("least ratios", "least aspect ratio", ratio, (ratio - 0.05, ratio + 0.05), ours, name))
+    larger = loosen(supercell(WEAVES["6-in-1"], 2, 2, "space"))[1] - 1.0
+    free = [larger / (1.0 + s) for s in sorted(SPRINGBACK)]
+    rows.append(number("least ratios", "least aspect ratio", 4.3, (4.25, 4.35), free, "6-in-1, 2 x 2 cells in space"))
     ours = [limits["6-in-1"] / (1.0 + s) for s in SPRINGBACK]
     sold, wire = 12.0 / 64.0 * INCH, gauge_mm("18 awg")
     rows.append(number("bands", "least aspect ratio sold", sold / wire, about(sold / wire, 0.01), ours, "6-in-1"))
@@ -211,17 +216,17 @@ def strip(items: list[Any], sides: tuple[float, float], cells: int, step: float,
     return Scene(Rectangle(*sides), items, mesh=Mesh(cells=cells), motion=Motion(steps * step, step=step), **more)
 
 
-def fold(width: float, length: float, cells: int, steps: int) -> Scene:
-    """A strip whose ends are held side by side at one height, a width apart; one of them is let go at t = 0."""
-    away = ((0.0, length, width), (width, length, width))
+def fold(width: float, length: float, cells: int, apart: float, steps: int) -> Scene:
+    """A strip whose ends are held side by side at one height, so far apart; one of them is let go at t = 0."""
+    away = ((0.0, length, apart), (width, length, apart))
     ends = [Edge("top"), Edge("bottom", along=away, release=0.0)]
     return strip(ends, (width, length), cells, 1.1 / steps * np.sqrt(2.0 * length / G), steps)
 
 
-def timed(frames: Iterable[tuple[float, Array]], width: float, length: float) -> Array:
+def timed(frames: Iterable[tuple[float, Array]], length: float) -> Array:
     """Shares of its length that the free end has fallen, and the times over those of free fall, (2, n)."""
     times, places = map(np.array, zip(*frames, strict=True))
-    tip = (places[0, :, 2] > 0.5 * width) & (places[0, :, 1] > places[0, :, 1].max() - 1e-3 * length)
+    tip = (places[0, :, 2] > 0.5 * places[0, :, 2].max()) & (places[0, :, 1] > places[0, :, 1].max() - 1e-3 * length)
     height = places[:, tip, 1].mean(axis=1)
     share = (height[0] - height[1 : 1 + height.argmin()]) / length
     return np.array([share, times[1 : 1 + len(share)] / np.sqrt(2.0 * length / G * share)])
@@ -231,11 +236,11 @@ def timed(frames: Iterable[tuple[float, Array]], width: float, length: float) ->
 def folded() -> dict[str, Array]:
     """`timed` of a folded strip of the law, and of one ring by ring."""
     width, sides = LENGTH / ROWS, np.multiply(reference_cell(Cell()).sides_mm, RINGS).tolist()
-    law = MovingCurtain(fold(width, LENGTH, 1, 60), default_law()).frames()
-    every = MovingRings(fold(*sides, RINGS[0], 40)).frames()
+    law = MovingCurtain(fold(width, LENGTH, 1, width, 60), default_law()).frames()
+    every = MovingRings(fold(*sides, RINGS[0], APART, 50)).frames()
     return {
-        f"strip, {ROWS} cells long": timed(((f.moment.t, f.x) for f in law), width, LENGTH),
-        f"every ring, {RINGS[1]} cells long": timed(((f.moment.t, f.rings.centre) for f in every), *sides),
+        f"strip, {ROWS} cells long": timed(((f.moment.t, f.x) for f in law), LENGTH),
+        f"every ring, {RINGS[1]} cells long": timed(((f.moment.t, f.rings.centre) for f in every), sides[1]),
     }
 
 
@@ -244,7 +249,7 @@ def on_scale() -> Array:
     """A strip let go above a floor that it touches: shares of its length that have fallen, the time over that of free
     fall from its height, force on the floor over its weight, (3, n)."""
     law, width, duration, rows = default_law(), LENGTH / ROWS, np.sqrt(2.0 * LENGTH / G), []
-    scene = strip([Top(release=0.0), Floor()], (width, LENGTH), 1, duration / 60, 60)
+    scene = strip([Top(release=0.0), Floor()], (width, LENGTH), 1, duration / 100, 100)
     for frame in MovingCurtain(scene, law).frames():
         top = frame.problem.mesh.mesh.p[1] > LENGTH - 1e-6
         rows.append([1.0 - frame.x[top, 1].mean() / LENGTH, frame.moment.t / duration, frame.pushed[0][:, 1].sum()])
