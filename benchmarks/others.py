@@ -38,13 +38,12 @@ from macro_fem.modes import find_modes
 from macro_fem.motion.curtain import MovingCurtain
 from macro_fem.motion.rings import MovingRings
 from macro_fem.rings import EveryRingSolution
-from rve import WEAVES, Cell, Material, pulled_ring, reference_cell
+from rve import WEAVES, Cell, Material, pulled_ring, reference_cell, simulate, solve_table
 from rve.common.materials import STEEL
 from rve.common.ring_sizes import gauge_mm
 from rve.geometry import supercell
 from rve.geometry.slack import loosen
 from rve.piece import ring_facts
-from rve.simulation import solve_study
 
 INCH, G = 25.4, 9810.0
 SILVER = 10.36e-6
@@ -185,16 +184,17 @@ def hanging_chain() -> list[Row]:
 
 
 def paper() -> list[Row]:
-    """The 190 load cases of the paper, by its scheme and directly."""
-    study = solve_study(*loads())
-    rest, cases = study.run.rest, list(zip(*(x.tolist() for x in loads()), strict=True))
-    clock, of = rest.time, "r1/r2 = 10, 190 loads"
-    count = int((rest.status == "converged").sum())
-    last = [float(clock[cases.index((45.0, 90.0))])]
+    """The load cases of the paper: all of them directly, those that pull both ways by its scheme, step by step."""
+    alpha, beta = loads()
+    locked = int(solve_table(Cell(), (alpha, beta)).converged.sum())
+    both = beta > 0.0
+    rest = simulate(Cell(), (alpha[both], beta[both])).rest
+    last = np.flatnonzero((alpha[both] == 45.0) & (beta[both] == 90.0))
+    of = f"{both.sum()} loads with beta > 0"
     return [
-        number("paper", "cases at rest", 190, (190, 190), [count], of),
-        number("paper", "least time to rest, s", 14.5, (14.45, 14.55), [clock.min()], of),
-        number("paper", "time to rest, s", 1340.0, (1335.0, 1345.0), last, "(45, 90)"),
+        number("paper", "cases that lock", 190, (190, 190), [locked], "190 loads"),
+        number("paper", "least time to rest, s", 14.5, (14.45, 14.55), [rest.time.min()], of),
+        number("paper", "time to rest, s", 1340.0, (1335.0, 1345.0), rest.time[last], "(45, 90)"),
         number("paper", "most steps", 2800, (2750, 2850), [rest.steps.max()], of),
     ]
 
