@@ -324,11 +324,11 @@ def measure(full: bool) -> Section:
 
 def diagrams() -> tuple[Diagram, ...]:
     """Bands, folded chains, a chain on a scale, and one over a pulley."""
-    size, shares = [row[0] / 64.0 * INCH for row in BANDS], np.linspace(0.02, 1.0, 50)
+    size, shares = [row[0] / 64.0 * INCH for row in BANDS], np.geomspace(0.02, 1.0, 16)
     ours = curve("ours", size, [row["ours"] for row in bands()[: len(BANDS)]])
     told = curve("published", size, [row[2] for row in BANDS], joined=False)
     energy = curve("all energy kept, as published", shares, [*map(kept, shares)])
-    falls = [curve(name, *way) for name, way in folded().items()]
+    falls = [curve(name, *way[:, way[0] > shares[0]]) for name, way in folded().items()]
     weight = curve("three times what has fallen, as published", shares, 3.0 * shares)
     share, _, force = (np.convolve(values, np.full(7, 1.0 / 7.0), "valid") for values in on_scale())
     strip_of = curve("strip, mean of 7 steps", share, force, joined=False)
