@@ -17,21 +17,7 @@ from benchmarks.frame import Curve, Diagram, Section, table
 from benchmarks.measure import Row
 from benchmarks.problems import Array, loads
 from homogenize import default_law
-from macro_fem import (
-    Cylinder,
-    Disk,
-    Edge,
-    EveryRing,
-    Floor,
-    Loading,
-    Mesh,
-    Motion,
-    Rectangle,
-    Scene,
-    Solver,
-    Start,
-    Top,
-)
+from macro_fem import Cylinder, Disk, Edge, EveryRing, Floor, Loading, Mesh, Motion, Rectangle, Scene, Solver, Start
 from macro_fem.job import solve, solve_membrane
 from macro_fem.modes import find_modes
 from macro_fem.motion.curtain import MovingCurtain
@@ -173,7 +159,7 @@ def rings() -> list[Row]:
 
 def hanging_chain() -> list[Row]:
     """Natural frequencies of a strip hung along the grain, as 2 omega (L/g)^(1/2)."""
-    sheet = Scene(Rectangle(LENGTH / ROWS, LENGTH), [Top()], mesh=Mesh(cells=2))
+    sheet = Scene(Rectangle(LENGTH / ROWS, LENGTH), [Edge("top")], mesh=Mesh(cells=2))
     found = find_modes(solve_membrane(sheet, default_law()).solution, 3).frequencies_Hz
     ours = 4.0 * np.pi * found * np.sqrt(LENGTH / G)
     pairs = enumerate(zip(jn_zeros(0, 3), ours, strict=True), 1)
@@ -246,7 +232,7 @@ def on_scale() -> Array:
     """A strip let go above a floor that it touches: shares of its length that have fallen, the time over that of free
     fall from its height, force on the floor over its weight, (3, n)."""
     law, width, duration, rows = default_law(), LENGTH / ROWS, np.sqrt(2.0 * LENGTH / G), []
-    scene = strip([Top(release=0.0), Floor()], (width, LENGTH), 1, duration / 100, 100)
+    scene = strip([Edge("top", release=0.0), Floor()], (width, LENGTH), 1, duration / 100, 100)
     for frame in MovingCurtain(scene, law).frames():
         top = frame.problem.mesh.mesh.p[1] > LENGTH - 1e-6
         rows.append([1.0 - frame.x[top, 1].mean() / LENGTH, frame.moment.t / duration, frame.pushed[0][:, 1].sum()])
