@@ -339,4 +339,5 @@ SHADOW = """Nobody has published this for mail. How to measure it: Cusick's test
 mm, light from below; drape coefficient: the part of the free area that the shadow covers; folds counted at the rim;
 both ways up, several times, as friction keeps folds. Ours: r1 = 5 mm, disks of 120 and 72 mm, every ring, without
 friction, from the slack weave, one start each: rings are coarse here, and another start may fold another way. `folds`:
-the strongest wave of the rim. The law has no answer: its sheet folds as finely as it likes, its skirt hangs plumb."""
+the strongest wave of the rim, 2 where none stands out from both axes of the mesh. The law has no answer: its sheet
+folds as finely as it likes, its skirt hangs plumb."""
