@@ -300,7 +300,7 @@ def measure(full: bool) -> Section:
     rows = [row for make in (*QUICK, moving, paper) for row in make()]
     out = ["- {number}, {of}: {published:.4g}, ours {ours:.4g}".format(**row) for row in rows if not row["inside"]]
     text = "\n".join([f"**Outside of the scatter: {len(out)} of {len(rows)}.**", "", *out, "", TEXT])
-    forms = {"published": ".5g", "ours": ".4g", "difference": "+.1%"}
+    forms = {"published": ".5g", "ours": ".5g", "difference": "+.1%"}
     draped = table("Drape of a mesh disk", [*map(drape, (5.0, 10.0, 20.0))], {"r1/r2": "g"}, SHADOW)
     return Section("", text, (table("", rows, forms), draped), diagrams())
 
@@ -311,11 +311,13 @@ def diagrams() -> tuple[Diagram, ...]:
     ours = curve("ours", size, [row["ours"] for row in bands()[: len(BANDS)]])
     told = curve("published", size, [row[2] for row in BANDS], joined=False)
     energy = curve("all energy kept, as published", shares, [*map(kept, shares)])
-    falls = [curve(name, *way[:, way[0] > shares[0]]) for name, way in folded().items()]
+    falls = [curve(name, *way[:, (way[0] > shares[0]) & (way[0] < 0.99)]) for name, way in folded().items()]
     weight = curve("three times what has fallen, as published", shares, 3.0 * shares)
     share, _, force = (np.convolve(values, np.full(7, 1.0 / 7.0), "valid") for values in on_scale())
-    strip_of = curve("strip, mean of 7 steps", share, force, joined=False)
+    seen = share > shares[0]
+    strip_of = curve("strip, mean of 7 steps", share[seen], force[seen], joined=False)
     t, pulled, tip, off = on_pulley()[:, on_pulley()[0] > 0.5]
+    off[off < 1e-5] = np.nan
     lifts = curve("strip off the pulley", t, off), curve("lead of the free end", t, tip - pulled)
     way, time = "part of its length that has fallen", "time over (l/g)^(1/2)"
     return (
