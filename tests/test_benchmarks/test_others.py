@@ -71,3 +71,14 @@ def test_a_number_is_inside_where_the_ranges_meet():
     assert [row["inside"] for row in rows] == [True, True, False, False]
     assert rows[1]["ours"] == 2.0
     assert rows[1]["range of ours"] == "1.05 to 2"
+
+
+def test_a_free_fall_takes_the_time_of_free_fall_and_is_timed_down_to_its_lowest_place():
+    times = np.linspace(0.0, 0.5, 26)
+    way = np.minimum(0.5 * others.G * times**2, 1000.0)
+    legs = [np.array([[0.0, 1000.0, 0.0], [0.0, 400.0, 10.0], [0.0, 1000.0 - fallen, 30.0]]) for fallen in way]
+    share, ratio = others.timed(zip(times, legs, strict=True), 1000.0)
+    assert share == pytest.approx(way[1 : 1 + len(share)] / 1000.0)
+    assert ratio[:-1] == pytest.approx(1.0)
+    assert share[-1] == 1.0
+    assert len(share) == np.argmax(way)
