@@ -218,12 +218,12 @@ def timed(frames: Iterable[tuple[float, Array]], length: float) -> Array:
 @cache
 def folded() -> dict[str, Array]:
     """`timed` of a folded strip of the law, and of one ring by ring."""
-    width, sides = LENGTH / ROWS, np.multiply(reference_cell(Cell()).sides_mm, RINGS).tolist()
+    width, (across, along) = LENGTH / ROWS, np.multiply(reference_cell(Cell()).sides_mm, RINGS).tolist()
     law = MovingCurtain(fold(width, LENGTH, 1, width, 60), default_law()).frames()
-    every = MovingRings(fold(*sides, RINGS[0], APART, 50)).frames()
+    every = MovingRings(fold(across, along, RINGS[0], APART, 50)).frames()
     return {
         f"strip, {ROWS} cells long": timed(((f.moment.t, f.x) for f in law), LENGTH),
-        f"every ring, {RINGS[1]} cells long": timed(((f.moment.t, f.rings.centre) for f in every), sides[1]),
+        f"every ring, {RINGS[1]} cells long": timed(((f.moment.t, f.rings.centre) for f in every), along),
     }
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import jn_zeros
 
 from benchmarks import others
-from benchmarks.__main__ import ROOT
+from benchmarks.measure import ROOT
 
 PAGE = (ROOT / "docs" / "measured" / "others.md").read_text(encoding="utf-8")
 
