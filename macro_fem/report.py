@@ -315,6 +315,9 @@ def _order(solution: CurtainSolution, summary: CurtainSummary) -> Chapter:
         ["lowest point", f"y = {digits(order.lowest_point_mm, 5)} mm"],
         ["mean height", f"y = {digits(summary.mean_height_mm, 5)} mm"],
     ]
+    if summary.mean_sag_mm is not None:
+        sags = ("mean sag", summary.mean_sag_mm), ("largest sag", summary.largest_sag_mm)
+        rows[-2:] = [[name, _with(float(digits(sag or 0.0, 5)), "mm")] for name, sag in sags]
     shown = [row for row in rows if row[1] != NOT_GIVEN]
     tables = [PageTable("", ("what", "how much"), shown)]
     for number, item in enumerate(solution.problem.scene.support, 1):

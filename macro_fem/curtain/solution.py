@@ -147,11 +147,24 @@ class CurtainSolution(CurtainState, Judged):
 
     def mean_place(self) -> Array:
         """Mean position over the reference area (d,), mm."""
-        return np.average(self.x, axis=0, weights=load_vector(self.problem.exact, np.array([1.0]))[:, 0])
+        return self._area_mean(self.x)
+
+    def _area_mean(self, values: Array) -> Array:
+        """Mean of nodal values (n_nodes, ...) over the reference area."""
+        return np.average(values, axis=0, weights=load_vector(self.problem.exact, np.array([1.0]))[:, 0])
 
     def mean_height(self) -> float:
         """Mean of y over the reference area, mm."""
         return float(self.mean_place()[1])
+
+    def sag(self) -> tuple[float, float] | None:
+        """Displacement along the weight, the mean over the reference area and the largest, mm, of a sheet whose weight
+        acts mostly along z; None of others."""
+        weight = np.array(self.problem.scene.load.acceleration)
+        if np.abs(weight).argmax() != 2:
+            return None
+        along = self.displacement @ (weight / np.linalg.norm(weight))
+        return float(self._area_mean(along)), float(along.max())
 
     def lean(self) -> float:
         """How far the lower end hangs to the right of the upper one, mm: the mean over the reference area of the part

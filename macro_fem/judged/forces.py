@@ -95,7 +95,7 @@ def support_forces(solution: CurtainState) -> tuple[SupportForce, ...]:
             force_N=part.sum(axis=0).tolist(),
             largest_nodal_force_N=largest,
             largest_force_per_ring_N=None if len(held.facets) else largest / item.rings_per_hook,
-            capacity_N=item.capacity if isinstance(item, Hooks | Track) else None,
+            capacity_N=item.capacity,
             pitch_mm=row and row.pitch,
             pitch_asked_mm=item.pitch if row and isinstance(item, Hooks | Track) else None,
             nodes_held=len(held.nodes),

@@ -124,6 +124,8 @@ def views(steps: Sequence[CurtainState]) -> list[Draw]:
 def title(solution: CurtainSolution) -> str:
     """What a picture is headed by."""
     load = float(np.linalg.norm(solution.problem.force.sum(axis=0)))
+    if (sag := solution.sag()) is not None:
+        return f"total load {digits(load, 4)} N, mean sag {sag[0]:.1f} mm, largest {sag[1]:.1f} mm"
     height = f"mean height {solution.mean_height():.1f} mm, lowest point {solution.x[:, 1].min():.1f} mm"
     out = np.abs(solution.x[:, 2:]).max(initial=0.0)
     return f"total load {digits(load, 4)} N, {height}" + (f", |z| up to {out:.1f} mm" if out > 0.05 else "")

@@ -90,12 +90,11 @@ def curtain_lines(summary: CurtainSummary, out: Path, *, explain: bool) -> Itera
     """How a curtain ended, its numbers, what to order, and whether it holds; `explain`: what was used and left out."""
     yield f"{summary.status}: {summary.message}"
     yield from summary.notes
-    heights = _heights(summary.mean_height_mm, summary.lowest_point_mm, summary.out_of_plane_mm)
-    yield f"{heights}, largest line load {digits(summary.max_principal_line_load_N_per_mm, 4)} N/mm"
+    yield f"{_heights(summary)}, largest line load {digits(summary.max_principal_line_load_N_per_mm, 4)} N/mm"
     sizes = f"{summary.cells} cells, {summary.dofs} unknowns, {summary.iterations} iterations"
     yield f"{sizes}, {summary.wall_s:.2f} s; written to {out}"
     yield from hooks_lines(summary)
-    yield from order_lines(summary.order)
+    yield from order_lines(summary.order, summary.mean_sag_mm)
     if summary.status == "converged":
         yield f"{'without the factors of combinations: ' * ('envelope' in summary)}{holds_line(summary)}"
     yield from filter(None, [limit_line(summary)])
@@ -120,9 +119,12 @@ def lean_note(summary: CurtainSummary) -> str | None:
     )
 
 
-def _heights(mean: float, lowest: float, out: float | None = None) -> str:
-    away = "" if out is None else f", |z| up to {out:.3f} mm"
-    return f"mean height {mean:.3f} mm, lowest point {lowest:.3f} mm{away}"
+def _heights(told: CurtainNumbers | EveryRingSummary) -> str:
+    """Where the mesh hangs; of a sheet whose weight acts along z how far it sags."""
+    if (sag := told.get("mean_sag_mm")) is not None:
+        return f"mean sag {sag:.3f} mm, largest {told['largest_sag_mm']:.3f} mm"
+    away = f", |z| up to {out:.3f} mm" if (out := told.get("out_of_plane_mm")) is not None else ""
+    return f"mean height {told.mean_height_mm:.3f} mm, lowest point {told.lowest_point_mm:.3f} mm{away}"
 
 
 def motion_lines(summary: MotionSummary, out: Path) -> Iterator[str]:
@@ -164,7 +166,7 @@ def every_ring_lines(summary: EveryRingSummary, out: Path) -> list[str]:
     return [
         f"{summary.status}: {summary.message}",
         *summary.notes,
-        f"{summary.ring_count} rings, {_heights(summary.mean_height_mm, summary.lowest_point_mm)}",
+        f"{summary.ring_count} rings, {_heights(summary)}",
         left,
         f"{gap}, {summary.wall_s:.2f} s; written to {out}",
     ]
@@ -200,7 +202,7 @@ def hooks_lines(summary: CurtainNumbers) -> list[str]:
     return lines
 
 
-def order_lines(order: Order) -> list[str]:
+def order_lines(order: Order, sag: float | None) -> list[str]:
     """The order sheet in lines."""
     mesh = f"mesh of {order.mesh_width_mm:g} x {order.mesh_height_mm:g} mm"
     holes = f", less {order.holes} hole{'s' * (order.holes > 1)}" if order.holes else ""
@@ -215,7 +217,8 @@ def order_lines(order: Order) -> list[str]:
         lines += [f"  bar{'s' * (order.bars > 1)} of {order.bars_kg:g} kg, {digits(order.bars_mm, 5)} mm long"]
     if order.track_mm is not None:
         lines += [f"  track of {digits(order.track_mm, 5)} mm"]
-    return [*lines, f"  held over {order.held_width_mm:.1f} mm, lowest point at {order.lowest_point_mm:.1f} mm"]
+    lowest = "" if sag is not None else f", lowest point at {order.lowest_point_mm:.1f} mm"
+    return [*lines, f"  held over {order.held_width_mm:.1f} mm{lowest}"]
 
 
 def combination_lines(summary: CurtainSummary) -> list[str]:
