@@ -113,8 +113,6 @@ class Solution(ABC):
         return DataFrame(rows, columns=list(columns))
 
     def __str__(self) -> str:
-        sag = self.summary.get("mean_sag_mm")
-        where = f"height {self.summary.mean_height_mm:.3f}" if sag is None else f"sag {sag:.3f}"
-        return f"Solution: {self.status}, mean {where} mm"
+        return f"Solution: {self.status}, mean height {self.summary.mean_height_mm:.3f} mm"
 
     __repr__ = __str__

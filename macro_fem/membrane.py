@@ -82,8 +82,8 @@ class MembraneSolution(Solution):
     def are_hooks_open(self) -> bool:
         """Whether balance leaves forces of a row of hooks, runners or points of a plugin open."""
         is_solved = self.solution.status == Status.CONVERGED and not self.limits
-        rows = [one for one in self.solution.problem.mesh.places if one.pitch or len(one.nodes) > 2]
-        return bool(is_solved and rows) and forces_note(self.loaded) is not None
+        rows = any(len(one.nodes) > 2 for one in self.solution.problem.mesh.places)
+        return is_solved and rows and forces_note(self.loaded) is not None
 
     @property
     def status(self) -> Status:

@@ -308,25 +308,31 @@ NAILS = """
 class Nails(macro_fem.Support, kind="nails"):
     one = "nail"
     capacity: float
+    every: int = 2
     def hold(self, border, nodes):
-        return self.held_at("nails", border, nodes[::2], border.points[nodes[::2]])
+        return self.held_at("nails", border, nodes[::self.every], border.points[nodes[::self.every]])
 """
 
 
 def test_points_that_an_own_support_holds_on_an_edge_are_judged_as_hooks_are(own: Path) -> None:
+    """Each bears what the same hook does, together the weight; a whole edge has no points that could be judged."""
     (own / "own.py").write_text(OWN + NAILS)
     text, told = OWN_SCENE.replace("cells = 2", "cells = 4"), list[Any]()
-    for kind in ("kind = 'nails'", "kind = 'hooks', count = 3"):
+    for kind in ("kind = 'nails'", "kind = 'hooks', count = 3", "kind = 'nails', every = 1"):
         (own / "scene.toml").write_text(text.replace('kind = "pegs", number = 2', f"{kind}, capacity = 0.02"))
         run_own(own, "--plugin", own / "own.py")
         told.append(json.loads((own / "out" / "summary.json").read_text()))
-    nails, hooks = (one["support_forces"][0] for one in told)
+    nails, hooks, edge = (one["support_forces"][0] for one in told)
     assert [point["point"] for point in nails["points"]] == ["nail 1", "nail 2", "nail 3"]
     for name in ("force_N", "largest_force_per_ring_N", "capacity_N", "nodes_held", "length_held_mm"):
         assert nails[name] == pytest.approx(hooks[name]), name
+    for point, same in zip(nails["points"], hooks["points"], strict=True):
+        assert point["force_N"] == pytest.approx(same["force_N"], abs=1e-9)
+    assert nails["force_N"] == pytest.approx([0.0, 0.9 * 0.06 * 0.04 * 9.81], abs=1e-9)
     assert told[0]["order"]["hooks"] == 3
     assert told[0]["weakest"] == "nail capacity"
     assert told[0]["weakest_factor"] == pytest.approx(told[1]["weakest_factor"])
+    assert (edge["nodes_held"], "capacity_N" in edge, told[2]["weakest"]) == (5, False, None)
 
 
 def test_half_spaces_of_any_trace_are_the_same_law(own: Path) -> None:

@@ -41,7 +41,7 @@ GOVERNS = {
 MOVING = ("smallest_factor", "at_s", "peak_support_force_N", "peak_support_force_at_s", "reached_s")
 """Further columns of curtains in motion."""
 SAG = ("mean_sag_mm", "largest_sag_mm")
-"""Further columns of sheets whose weight acts along z."""
+"""Further columns of sheets whose weight acts along z; lines and the chart have the first in place of the height."""
 
 
 def design_columns(record: Record, names: Sequence[str] = COLUMNS) -> Row:
@@ -58,12 +58,17 @@ def design_columns(record: Record, names: Sequence[str] = COLUMNS) -> Row:
 
 def design_line(row: Row) -> str:
     """A design that has an answer in a line, as far as it is known."""
-    known = {name: _number(row[name], 4) for name in (*SHOWN, *SAG) if isinstance(row.get(name), int | float)}
-    known.pop("mean_height_mm" if SAG[0] in known else "", None)
-    words = {"mass_kg": "{} kg", "rings": "{} rings", "mean_height_mm": "mean height {} mm", "mean_sag_mm": "mean sag {} mm",
-             "governing_force_N": "largest force {} N", "wall_s": "{} s"}  # fmt: skip
+    known = {name: _number(row[name], 4) for name in _shown([row]) if isinstance(row[name], int | float)}
+    words = {"mass_kg": "{} kg", "rings": "{} rings", "mean_height_mm": "mean height {} mm",
+             SAG[0]: "mean sag {} mm", "governing_force_N": "largest force {} N", "wall_s": "{} s"}  # fmt: skip
     numbers = [text.format(known[name]) for name, text in words.items() if name in known]
     return "; ".join(filter(None, [f"{row['name']}: {_held(row)}", ", ".join(numbers), row["governing_note"]]))
+
+
+def _shown(rows: Sequence[Row]) -> dict[str, str]:
+    """`SHOWN`, of sheets that all sag along z with the sag in place of the height."""
+    sag = {"mean_height_mm": (SAG[0], "mean sag, mm")} if all(SAG[0] in row for row in rows) else {}
+    return dict(sag.get(name, (name, label)) for name, label in SHOWN.items())
 
 
 def _number(value: float, count: int) -> str:
@@ -130,9 +135,7 @@ def chart(rows: Sequence[Row]) -> Figure:
     """Each number of `SHOWN` as bars, a line for each design."""
     figure = new_figure(7.6, 2.0 * (0.26 * len(rows) + 0.85))
     colours = [{True: GREEN, False: VERMILION}.get(row["holds"], "#9aa3b2") for row in rows]
-    for ax, (name, label) in zip(figure.subplots(2, 3, sharey=True).flat, SHOWN.items(), strict=True):
-        if name == "mean_height_mm" and all(SAG[0] in row for row in rows):
-            name, label = SAG[0], "mean sag, mm"
+    for ax, (name, label) in zip(figure.subplots(2, 3, sharey=True).flat, _shown(rows).items(), strict=True):
         values = np.array([row[name] if isinstance(row[name], int | float) else np.nan for row in rows], float)
         bars = ax.barh([row["name"] for row in rows], np.nan_to_num(values), color=colours, height=0.7)
         texts = [_number(row[name], 3) if isinstance(row[name], int | float) else "" for row in rows]

@@ -94,7 +94,7 @@ def curtain_lines(summary: CurtainSummary, out: Path, *, explain: bool) -> Itera
     sizes = f"{summary.cells} cells, {summary.dofs} unknowns, {summary.iterations} iterations"
     yield f"{sizes}, {summary.wall_s:.2f} s; written to {out}"
     yield from hooks_lines(summary)
-    yield from order_lines(summary.order, summary.mean_sag_mm)
+    yield from order_lines(summary.order)
     if summary.status == "converged":
         yield f"{'without the factors of combinations: ' * ('envelope' in summary)}{holds_line(summary)}"
     yield from filter(None, [limit_line(summary)])
@@ -202,7 +202,7 @@ def hooks_lines(summary: CurtainNumbers) -> list[str]:
     return lines
 
 
-def order_lines(order: Order, sag: float | None) -> list[str]:
+def order_lines(order: Order) -> list[str]:
     """The order sheet in lines."""
     mesh = f"mesh of {order.mesh_width_mm:g} x {order.mesh_height_mm:g} mm"
     holes = f", less {order.holes} hole{'s' * (order.holes > 1)}" if order.holes else ""
@@ -217,8 +217,7 @@ def order_lines(order: Order, sag: float | None) -> list[str]:
         lines += [f"  bar{'s' * (order.bars > 1)} of {order.bars_kg:g} kg, {digits(order.bars_mm, 5)} mm long"]
     if order.track_mm is not None:
         lines += [f"  track of {digits(order.track_mm, 5)} mm"]
-    lowest = "" if sag is not None else f", lowest point at {order.lowest_point_mm:.1f} mm"
-    return [*lines, f"  held over {order.held_width_mm:.1f} mm{lowest}"]
+    return [*lines, f"  held over {order.held_width_mm:.1f} mm"]
 
 
 def combination_lines(summary: CurtainSummary) -> list[str]:

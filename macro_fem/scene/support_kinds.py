@@ -82,8 +82,7 @@ class Support(Timed):
     edge_needed: ClassVar[str | None] = "top"
     one: ClassVar[str] = "point"
     """What results call one of the points that it holds."""
-    gather, rings_per_hook, held = 1.0, 1, "both"
-    capacity = cast("float | None", None)
+    gather, rings_per_hook, held, capacity = 1.0, 1, "both", cast("float | None", None)
     release: Time | None = field(default=None, repr=False)
 
     def places(self, border: Border) -> Places:
