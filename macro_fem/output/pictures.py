@@ -189,7 +189,7 @@ def panels(solution: CurtainSolution) -> Figure:
     from matplotlib.patches import Patch
 
     extent = np.ptp(np.vstack([solution.x[:, :2], solution.problem.disc.nodes]), axis=0)
-    figure = new_figure(6.4, float(np.clip(2.5 * extent[1] / extent[0], 2.0, 6.4)) + 1.3)
+    figure = new_figure(6.4, float(np.clip(2.5 * extent[1] / extent[0], 2.0, 6.4)) + 1.4)
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     plot_line_loads(solution, axes[0])
     state = solution.state()
@@ -202,7 +202,11 @@ def panels(solution: CurtainSolution) -> Figure:
         cells = solution.corners[:, :2][solution.problem.mesh.mesh.t.T[is_over]]
         axes[1].add_collection(PolyCollection(list(cells), **over))
         patches.append(Patch(**over, label="cell folded over"))
-    _legend(axes[1], patches)
+    axes[0].set_title("")
+    figure.suptitle(space_view.title(solution), fontsize=9)
+    axes[0].get_legend().remove()  # one for both panels
+    handles = [*axes[0].get_legend_handles_labels()[0], *patches]
+    figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
     return figure
 
 
@@ -288,7 +292,6 @@ def draw_loads(solution: CurtainSolution, ax: Axes, axes: tuple[int, int] = (0, 
             ax.autoscale_view()
 
 
-def _legend(ax: Axes, more: Sequence[Any] = ()) -> None:
-    """What lines and markers mean, and the handles `more`, below the axes."""
-    handles = [*more, *ax.get_legend_handles_labels()[0]]
-    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=1, frameon=False, fontsize=8)
+def _legend(ax: Axes) -> None:
+    """What lines and markers mean, below the axes."""
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=1, frameon=False, fontsize=8)

@@ -74,7 +74,7 @@ class PictureFrame:
             for at, force in kind
         ]
         around = box_of(np.concatenate([room, *ends]))
-        lowest = float(min(around[0, 1], room[0, 1] - 0.06 * size))
+        lowest = float(around[0, 1] - 0.06 * size)  # the ruler and its words are below arrows
         frame = cls(line_load_scale(steps), room, around, size, arrow, largest, lowest)
         bodies = [obstacle_mesh(one, frame, lowest) for step in steps for one in step.obstacles]
         bounds = [np.reshape(one.bounds, (3, 2)).T for one in bodies if one is not None]

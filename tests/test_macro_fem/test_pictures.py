@@ -47,7 +47,7 @@ def test_pictures_of_a_series_share_the_ground_and_the_names_of_forces(hammock, 
     assert half == whole
     assert "load at a point, longest 1.41 N" in whole
     assert panels(plane.solution).axes[0].get_legend_handles_labels()[1][-1] == "load at a point, up to 1.41 N"
-    told = {text.get_text() for text in panels(plane.solution).axes[1].get_legend().get_texts()}
+    told = {text.get_text() for text in panels(plane.solution).legends[0].get_texts()}
     assert told & STATES.keys() == {name for k, name in enumerate(STATES) if k in plane.solution.state()} < {*STATES}
 
 
