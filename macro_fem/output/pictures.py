@@ -279,14 +279,16 @@ def one_per_square(points: Array, chosen: np.ndarray, number: int) -> np.ndarray
 
 
 def draw_loads(solution: CurtainSolution, ax: Axes, axes: tuple[int, int] = (0, 1)) -> None:
-    """Loads at points and wind as arrows in two coordinates, the longest of each a part of the size of the mesh."""
+    """Loads at points and wind as arrows in two coordinates, as long as a part of the size of the mesh for the largest
+    of each seen from its side; many arrows are thin."""
     size = space_view.LONGEST * solution.problem.mesh.size
     for name, colour, forces, way in FORCES[2:]:
+        longest = float(np.linalg.norm(forces(solution)[1], axis=1).max(initial=0.0))
         at, force = (part[:, axes] for part in forces(solution))
-        if longest := float(np.linalg.norm(force, axis=1).max(initial=0.0)):
+        if np.abs(force).max(initial=0.0) > 1e-6 * longest:
             ax.update_datalim(at + way * size * force / longest)
             ends: Any = {"angles": "xy", "scale_units": "xy", "scale": longest / size}
-            ends |= {"units": "inches", "width": 0.04}
+            ends |= {"units": "inches", "width": 0.04 if len(at) < 8 else 0.02}
             ends |= {"pivot": "tail" if way > 0 else "tip", "label": f"{name}, up to {digits(longest)} N"}
             ax.quiver(*at.T, *force.T, color=colour, ec="white", lw=0.5, zorder=6, **ends)
             ax.autoscale_view()
