@@ -59,7 +59,7 @@ def summarize(solution: CurtainSolution) -> CurtainNumbers:
         out_of_plane_mm=float(np.abs(x[:, 2]).max()) if in_space else None,
         mean_sag_mm=sag and sag[0],
         largest_sag_mm=sag and sag[1],
-        centre_of_gravity_mm=solution.mean_place().tolist() if in_space else None,
+        centre_of_gravity_mm=solution.area_mean(solution.x).tolist() if in_space else None,
         lean_mm=solution.lean(),
         max_displacement_mm=float(np.linalg.norm(solution.displacement, axis=1).max()),
         **judge_line_loads(solution).parts(),

@@ -254,15 +254,6 @@ def governing_line(summary: CurtainSummary) -> str:
     return f"{text}, {held}{_factor(most)}; largest force of a single point {digits(force, 4)} N"
 
 
-def verdict(summary: CurtainSummary) -> tuple[str, bool]:
-    """Whether the curtain holds, as a report begins; and whether nothing that is known says that it does not."""
-    solved, is_held = summary.status == "converged", summary.holds is not False
-    if solved and summary.envelope is not None:
-        return governing_line(summary), is_held
-    first, *more = (holds_line(summary) if solved else f"{summary.status}: {summary.message}").split("; ")
-    return "; ".join([first, *more[:1]]), solved and is_held
-
-
 def interval_line(summary: CurtainSummary) -> str:
     """Interval of the answer, its parts, and what the rings were asked."""
     what, unit = "mean height", "mm"
