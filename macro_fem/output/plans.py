@@ -248,9 +248,9 @@ def draw_view(solution: CurtainSolution, width: float, most: float) -> Figure:
     is seen from there, from the left."""
     at = padded(solution.corners)[solution.problem.mesh.mesh.t.T]
     normals = np.cross(at[:, 1] - at[:, 0], at[:, 2] - at[:, 0])
-    right, left = (np.array(THREE_QUARTERS) * [side, 1.0, 1.0] for side in (1.0, -1.0))
-    seen = [np.abs(normals @ way).sum() for way in (right, left)]
-    way = left if seen[1] > 1.2 * seen[0] else right
+    left = (-THREE_QUARTERS[0], *THREE_QUARTERS[1:])
+    seen = [np.abs(normals @ way).sum() for way in (THREE_QUARTERS, left)]
+    way = left if seen[1] > 1.2 * seen[0] else THREE_QUARTERS
     return draw_views([partial(space_view.draw_curtain, solution, direction=way)], width, most)
 
 
