@@ -311,6 +311,17 @@ class Nails(macro_fem.Support, kind="nails"):
     every: int = 2
     def hold(self, border, nodes):
         return self.held_at("nails", border, nodes[::self.every], border.points[nodes[::self.every]])
+
+@dataclass(frozen=True)
+class Tacks(macro_fem.Support, kind="tacks"):
+    one = "tack"
+    capacity: float
+    rings_per_hook: int = 1
+    def places(self, border):
+        (line,) = border.lines("top")
+        return Places(line.at([0.0, 0.5 * line.arc[-1], line.arc[-1]]))
+    def hold(self, border, nodes):
+        return self.held_at("tacks", border, nodes, border.points[nodes])
 """
 
 
@@ -318,11 +329,12 @@ def test_points_that_an_own_support_holds_on_an_edge_are_judged_as_hooks_are(own
     """Each bears what the same hook does, together the weight; a whole edge has no points that could be judged."""
     (own / "own.py").write_text(OWN + NAILS)
     text, told = OWN_SCENE.replace("cells = 2", "cells = 4"), list[Any]()
-    for kind in ("kind = 'nails'", "kind = 'hooks', count = 3", "kind = 'nails', every = 1"):
+    tacks = "kind = 'tacks', rings_per_hook = 2"
+    for kind in ("kind = 'nails'", "kind = 'hooks', count = 3", "kind = 'nails', every = 1", tacks):
         (own / "scene.toml").write_text(text.replace('kind = "pegs", number = 2', f"{kind}, capacity = 0.02"))
         run_own(own, "--plugin", own / "own.py")
         told.append(json.loads((own / "out" / "summary.json").read_text()))
-    nails, hooks, edge = (one["support_forces"][0] for one in told)
+    nails, hooks, edge, tacks = (one["support_forces"][0] for one in told)
     assert [point["point"] for point in nails["points"]] == ["nail 1", "nail 2", "nail 3"]
     for name in ("force_N", "largest_force_per_ring_N", "capacity_N", "nodes_held", "length_held_mm"):
         assert nails[name] == pytest.approx(hooks[name]), name
@@ -332,6 +344,8 @@ def test_points_that_an_own_support_holds_on_an_edge_are_judged_as_hooks_are(own
     assert told[0]["order"]["hooks"] == 3
     assert told[0]["weakest"] == "nail capacity"
     assert told[0]["weakest_factor"] == pytest.approx(told[1]["weakest_factor"])
+    assert tacks["largest_force_per_ring_N"] == pytest.approx(0.5 * hooks["largest_nodal_force_N"])
+    assert told[3]["single_forces_note"].replace("tack", "hook") == told[1]["single_forces_note"]
     assert (edge["nodes_held"], "capacity_N" in edge, told[2]["weakest"]) == (5, False, None)
 
 
