@@ -129,7 +129,7 @@ def _answer_or_go_on(summary: Mapping[str, Any], failed: NotDrawn | None, comman
     "--cell", metavar="R1,R2", help="Ask these rings for the law, radii in mm or inner=8,wire=1.6; --vary r2 needs it."
 )
 @renamed("--rings", "--cell R1,R2")
-@click.option("--vary", type=click.Choice(["pitch", "mass", "speed", "r2"]), required=True, help="What is varied.")
+@click.option("--vary", metavar="KEY", required=True, help="pitch, mass, speed, r2, or a number in a plugin's table.")
 @click.option("--from", "low", type=float, required=True, help="Smallest value: mm, kg or m/s.")
 @click.option("--to", "high", type=float, required=True, help="Largest value.")
 @click.option("--factor", type=float, required=True, help="Factor with which the curtain is to hold.")

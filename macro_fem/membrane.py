@@ -86,9 +86,10 @@ class MembraneSolution(Solution):
 
     @property
     def are_hooks_open(self) -> bool:
-        """Whether balance leaves forces of a row of hooks or runners open."""
+        """Whether balance leaves forces of a row of hooks, runners or points of a plugin open."""
         is_solved = self.solution.status == Status.CONVERGED and not self.limits
-        return bool(is_solved and self.solution.problem.mesh.hooks) and forces_note(self.loaded) is not None
+        rows = any(len(one.nodes) > 2 for one in self.solution.problem.mesh.places)
+        return is_solved and rows and forces_note(self.loaded) is not None
 
     @property
     def status(self) -> Status:

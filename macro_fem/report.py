@@ -13,7 +13,7 @@ from macro_fem.output import plans
 from macro_fem.output.report_pages import GAP, HIGH, PAGE, Chapter, Headline, PageTable, Picture, write_pages
 from macro_fem.output.told import lean_note, limit_line, loads_in_words
 from macro_fem.scene.support_kinds import Track
-from macro_fem.scene.tables import in_3d
+from macro_fem.scene.tables import Load, in_3d
 from macro_fem.summary import CombinationRow, CurtainSummary, SupportForce
 from rve.common import digits
 
@@ -263,7 +263,7 @@ def _factors(solution: CurtainSolution, cases: Sequence[tuple[str, CurtainSummar
     groups = [("", 1), ("a ring, at times the loads", 2), ("utilisation, 1: yields", 4), ("sum of loads, N", len(axes))]
     tables.append(PageTable("Rings", head, rows, groups))
     if summary.combinations is not None:
-        tables.append(_combinations(summary.combinations))
+        tables.append(_combinations(summary.combinations, {one.kind for one in solution.problem.scene.of(Load)}))
     words = "Where the rings are used, 1 is first yield; circles: rings at hooks and other held and loaded points."
     shown = Picture(lambda width: plans.draw_hung(solution, width, HIGH, used=True), 0.5 * PAGE, words)
     is_drawn = summary.utilisation_max is not None and not solution.problem.scene.in_space
@@ -271,12 +271,12 @@ def _factors(solution: CurtainSolution, cases: Sequence[tuple[str, CurtainSummar
     return Chapter("Factors and the weakest link", (), [[shown]] if is_drawn else [], filled)
 
 
-def _combinations(each: Sequence[CombinationRow]) -> PageTable:
-    """Load combinations with their partial factors, and what gives first under them."""
+def _combinations(each: Sequence[CombinationRow], kinds: set[str]) -> PageTable:
+    """Load combinations with their partial factors on weight and kinds of loads, and what gives first under them."""
     head = ("combination", "partial factors", "answer", "largest force, N", "first yield", "factor", "first to give")
     rows = []
     for one in each:
-        parts = ", ".join(f"{name} {value:g}" for name, value in one.factors.items())
+        parts = ", ".join(f"{name} {value:g}" for name, value in one.factors.items() if name in {"weight", *kinds})
         factors = (_or_none(one.safety_factor), _or_none(one.weakest_factor))
         first = ", ".join(filter(None, [one.weakest, one.weakest_place]))
         rows.append([one.name, parts, one.status, digits(one.largest_force_N, 4), *factors, first])
@@ -315,6 +315,9 @@ def _order(solution: CurtainSolution, summary: CurtainSummary) -> Chapter:
         ["lowest point", f"y = {digits(order.lowest_point_mm, 5)} mm"],
         ["mean height", f"y = {digits(summary.mean_height_mm, 5)} mm"],
     ]
+    if summary.mean_sag_mm is not None:
+        sags = ("mean sag", summary.mean_sag_mm), ("largest sag", summary.largest_sag_mm)
+        rows[-2:] = [[name, _with(float(digits(sag or 0.0, 5)), "mm")] for name, sag in sags]
     shown = [row for row in rows if row[1] != NOT_GIVEN]
     tables = [PageTable("", ("what", "how much"), shown)]
     for number, item in enumerate(solution.problem.scene.support, 1):

@@ -22,7 +22,7 @@ from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.support_kinds import Hanging
-from macro_fem.trials import VARIED, Row, Sought, Trials, Who
+from macro_fem.trials import VARIED, Row, Sought, Trials, Who, own_numbers, varied
 from rve.common import (
     Array,
     InputError,
@@ -219,18 +219,18 @@ class Size:
     estimates: tuple[Row, ...] = ()
 
     def __str__(self) -> str:
-        unit, asked, (low, high) = VARIED[self.vary][0], f"a factor {self.factor_asked:g}", self.searched
+        unit, asked, (low, high) = f" {varied(self.vary)[0]}".rstrip(), f"a factor {self.factor_asked:g}", self.searched
         if self.value is None:
             return f"no {self.vary} from {low:g} to {high:g} holds with {asked}: {_why_none(self.curve)}"
         under = f" under {self.governing_combination}" if self.governing_combination else ""
         held = f"{digits(self.factor or 0.0, 4)} ({self.weakest}{under})"
-        text = f"{self.vary} = {self.value:.6g} {unit}"
+        text = f"{self.vary} = {self.value:.6g}{unit}"
         if self.next_value is None:
             way = f"{'down' if self.vary == 'r2' else 'up'} to {self.value:.6g}"
             every = " holds" if self.failing else f": all values {way} hold"
             return f"{text}, the end of the range{every} with {asked}: {held}"
         after = "no answer" if self.next_factor is None else digits(self.next_factor, 4)
-        return f"{text} is the last that holds with {asked}: {held}; {self.next_value:.6g} {unit}: {after}"
+        return f"{text} is the last that holds with {asked}: {held}; {self.next_value:.6g}{unit}: {after}"
 
     @property
     def failing(self) -> list[Row]:
@@ -257,7 +257,7 @@ class Size:
 
 def csv_of(vary: str, rows: Sequence[Row]) -> str:
     """The table of rows, whose first column is what is varied, with its unit."""
-    names = [f"{vary}_{VARIED[vary][0].replace('/', '_per_')}", *list(Row.__dataclass_fields__)[1:]]
+    names = ["_".join(filter(None, [vary, varied(vary)[0].replace("/", "_per_")])), *list(Row.__dataclass_fields__)[1:]]
     return csv_text(names, (asdict(row).values() for row in rows))
 
 
@@ -380,9 +380,10 @@ def _check(sought: Sought) -> None:
     scene, vary = sought.scene, sought.vary
     if scene.motion is not None:
         scene.refuse("[motion]: is for a curtain over time, which is not sized")
-    if vary not in VARIED:
-        raise InputError(f"--vary = {shown(vary)}: {not_one_of(vary, VARIED)}")
-    _, what, has = VARIED[vary]
+    keys = [*VARIED, *sorted(set[str]().union(*map(own_numbers, scene.items)))]
+    if vary not in keys:
+        raise InputError(f"--vary = {shown(vary)}: {not_one_of(vary, keys)}")
+    _, what, has = varied(vary)
     if vary == "r2":
         if not isinstance(sought.who, OnDemand):
             raise InputError("--vary r2: needs the rings, by --cell R1,R2, since a law is of one wire")
@@ -392,7 +393,7 @@ def _check(sought: Sought) -> None:
 
 def _draw(path: Path, size: Size) -> None:
     """The factor over the value, both on logarithmic scales where they span much."""
-    ax, (unit, *_) = new_axes(6.4, 4.0), VARIED[size.vary]
+    ax, (unit, *_) = new_axes(6.4, 4.0), varied(size.vary)
     marks = (
         (size.estimates, "o--", "#9aa3b2", "on a coarser mesh"),
         (size.curve, "o-", BLUE, "on the mesh of the scene"),
@@ -403,12 +404,14 @@ def _draw(path: Path, size: Size) -> None:
             ax.plot(*np.transpose(known), style, color=colour, ms=4, label=label)
     ax.axhline(size.factor_asked, color=VERMILION, lw=1.0, label=f"factor {size.factor_asked:g}")
     if size.value is not None:
-        ax.axvline(size.value, color="#717581", lw=1.0, ls="--", label=f"{size.vary} = {size.value:.6g} {unit}")
+        ax.axvline(
+            size.value, color="#717581", lw=1.0, ls="--", label=f"{size.vary} = {size.value:.6g} {unit}".rstrip()
+        )
     if size.searched[1] > 10.0 * size.searched[0]:
         ax.set(xscale="log", yscale="log")
     else:
         ax.set_ylim(bottom=0.0)
-    ax.set(xlabel=f"{size.vary} ({unit})", ylabel="factor until the first link gives")
+    ax.set(xlabel=f"{size.vary} ({unit})".removesuffix(" ()"), ylabel="factor until the first link gives")
     ax.legend(frameon=False)
     ax.grid(alpha=0.3)
     save_figure(path, ax.figure)

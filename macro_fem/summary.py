@@ -102,7 +102,9 @@ class SupportForce(Table):
     force_N: Numbers
     largest_nodal_force_N: float
     largest_force_per_ring_N: float | None = None
-    capacity_N: float | None = field(default=None, metadata={"when": lambda own: own["support"] in ("hooks", "track")})
+    capacity_N: float | None = field(
+        default=None, metadata={"when": lambda own: own["capacity_N"] or own["support"] in ("hooks", "track")}
+    )
     pitch_mm: float | None = None
     pitch_asked_mm: float | None = field(default=None, metadata={"when": lambda own: own["pitch_mm"] is not None})
     nodes_held: int
@@ -219,6 +221,8 @@ class HungShape(Table):
     lowest_point_mm: float
     lowest_point_at_mm: Numbers | None = None
     out_of_plane_mm: float | None = None
+    mean_sag_mm: float | None = None
+    largest_sag_mm: float | None = None
     centre_of_gravity_mm: Numbers | None = None
     lean_mm: float
     max_displacement_mm: float

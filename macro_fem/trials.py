@@ -37,7 +37,7 @@ VARIED: dict[str, tuple[str, str, Callable[[Item], bool]]] = {
     "speed": ("m/s", "wind with a speed", lambda item: isinstance(item, Wind) and item.speed is not None),
     "r2": ("mm", "wire of rings", lambda item: False),
 }
-"""What may be varied: its unit, and what of a scene has it."""
+"""What may be varied besides numbers in tables of plugins: its unit, and what of a scene has it."""
 MAY_GOVERN = 1.1
 """A combination whose factor was this many times the least one, at the nearest value where it is known, is not solved.
 Larger: more are; smaller: more of them turn out to govern at the end, and the search goes on."""
@@ -48,6 +48,17 @@ Case = Combination | None
 """A load combination; None: loads as they are, or all at once."""
 Key = tuple[float, Case]
 Task = tuple[Scene, Who]
+
+
+def own_numbers(item: Item) -> set[str]:
+    """The keys of an entry of a plugin that are numbers, such as "sag"; none of ours."""
+    is_ours = type(item).__module__.startswith("macro_fem.")
+    return set() if is_ours else {key for key, value in vars(item).items() if isinstance(value, float)}
+
+
+def varied(key: str) -> tuple[str, str, Callable[[Item], bool]]:
+    """`VARIED` of a key, or what is said of one of plugins, whose unit is not known."""
+    return VARIED.get(key) or ("", f"table of a plugin with {key}", lambda item: key in own_numbers(item))
 
 
 class Outcome(NamedTuple):
@@ -98,7 +109,7 @@ class Sought:
 
     def at(self, value: float) -> Scene:
         """The scene with the value in every part that has it."""
-        has, scene, mesh = VARIED[self.vary][2], self.scene, self.scene.mesh
+        has, scene, mesh = varied(self.vary)[2], self.scene, self.scene.mesh
         changes: Any = {self.vary: value} | ({"count": None} if self.vary == "pitch" else {})
         cells = self.cells or mesh.cells
         if self.vary == "pitch" and isinstance(scene.curtain, Rectangle):  # hooks are nodes of the mesh
@@ -238,8 +249,8 @@ class Trials:
 
     def _told(self, key: Key, left: int) -> tuple[str, int, int, float]:
         """Progress: what is solved now, the last answer, and how many are left, as `tell` takes it."""
-        unit, cases = VARIED[self.sought.vary][0], f", {key[1].name}" if key[1] else ""
-        now = f"{self.sought.vary} = {key[0]:.6g} {unit}{cases}"
+        unit, cases = varied(self.sought.vary)[0], f", {key[1].name}" if key[1] else ""
+        now = f"{self.sought.vary} = {key[0]:.6g} {unit}".rstrip() + cases
         counted = self._solved, self._solved + left + self._later, self._began
         if not self._solved:
             return f"{now}, the first of about {left + self._later} answers", *counted

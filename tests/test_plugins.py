@@ -162,6 +162,19 @@ def test_an_own_load_is_integrated_and_scaled(folder: Path) -> None:
     assert f"dirt {hung:.4g} N" in texts
 
 
+def test_a_number_in_a_table_of_a_plugin_is_sized() -> None:
+    """Of a curtain without weight the factor is inverse to the only load, but for the stretch of elastic rings."""
+    data: dict[str, Any] = {"curtain": {"width": 60.0, "height": 40.0}, "mesh": {"cells": 2}}
+    data["support"], data["load"] = {"kind": "top"}, {"gravity": 0.0, "dirt": {"pressure": 1.0, "height": 40.0}}
+    scene = macro_fem.read_scene(data)
+    size = macro_fem.largest_that_holds(scene, None, "pressure", (1e3, 1e6), 4.0)
+    first = size.curve[0]
+    assert size.value == pytest.approx(first.value * (first.factor or 0.0) / 4.0, rel=0.02)
+    assert str(size).startswith(f"pressure = {size.value:.6g} is the last that holds with a factor 4: ")
+    with pytest.raises(rve.InputError, match="is not one of pitch, mass, speed, r2, height, pressure; did you mean pr"):
+        macro_fem.largest_that_holds(scene, None, "presure", (1e3, 1e6), 4.0)
+
+
 def test_the_command_that_is_told_next_has_the_plugins(tmp_path: Path) -> None:
     table, plugin = Path(__file__).parent / "test_homogenize" / "data" / "table190.csv", EXAMPLES / "own_law.py"
     done = run("homogenize", "fit", table, "--kind", "net", "--out", tmp_path / "law.json", "--plugin", plugin)
@@ -288,6 +301,52 @@ def test_a_mistake_in_a_plugin_is_one_sentence_that_names_it(own: Path, right: s
     error = run_own(own, "--plugin", own / "own.py", code=(0 if not sentence else 1 if "own.py" in sentence else 2))
     assert sentence in error
     assert "please report it" not in error
+
+
+NAILS = """
+@dataclass(frozen=True)
+class Nails(macro_fem.Support, kind="nails"):
+    one = "nail"
+    capacity: float
+    every: int = 2
+    def hold(self, border, nodes):
+        return self.held_at("nails", border, nodes[::self.every], border.points[nodes[::self.every]])
+
+@dataclass(frozen=True)
+class Tacks(macro_fem.Support, kind="tacks"):
+    one = "tack"
+    capacity: float
+    rings_per_hook: int = 1
+    def places(self, border):
+        (line,) = border.lines("top")
+        return Places(line.at([0.0, 0.5 * line.arc[-1], line.arc[-1]]))
+    def hold(self, border, nodes):
+        return self.held_at("tacks", border, nodes, border.points[nodes])
+"""
+
+
+def test_points_that_an_own_support_holds_on_an_edge_are_judged_as_hooks_are(own: Path) -> None:
+    """Each bears what the same hook does, together the weight; a whole edge has no points that could be judged."""
+    (own / "own.py").write_text(OWN + NAILS)
+    text, told = OWN_SCENE.replace("cells = 2", "cells = 4"), list[Any]()
+    tacks = "kind = 'tacks', rings_per_hook = 2"
+    for kind in ("kind = 'nails'", "kind = 'hooks', count = 3", "kind = 'nails', every = 1", tacks):
+        (own / "scene.toml").write_text(text.replace('kind = "pegs", number = 2', f"{kind}, capacity = 0.02"))
+        run_own(own, "--plugin", own / "own.py")
+        told.append(json.loads((own / "out" / "summary.json").read_text()))
+    nails, hooks, edge, tacks = (one["support_forces"][0] for one in told)
+    assert [point["point"] for point in nails["points"]] == ["nail 1", "nail 2", "nail 3"]
+    for name in ("force_N", "largest_force_per_ring_N", "capacity_N", "nodes_held", "length_held_mm"):
+        assert nails[name] == pytest.approx(hooks[name]), name
+    for point, same in zip(nails["points"], hooks["points"], strict=True):
+        assert point["force_N"] == pytest.approx(same["force_N"], abs=1e-9)
+    assert nails["force_N"] == pytest.approx([0.0, 0.9 * 0.06 * 0.04 * 9.81], abs=1e-9)
+    assert told[0]["order"]["hooks"] == 3
+    assert told[0]["weakest"] == "nail capacity"
+    assert told[0]["weakest_factor"] == pytest.approx(told[1]["weakest_factor"])
+    assert tacks["largest_force_per_ring_N"] == pytest.approx(0.5 * hooks["largest_nodal_force_N"])
+    assert told[3]["single_forces_note"].replace("tack", "hook") == told[1]["single_forces_note"]
+    assert (edge["nodes_held"], "capacity_N" in edge, told[2]["weakest"]) == (5, False, None)
 
 
 def test_half_spaces_of_any_trace_are_the_same_law(own: Path) -> None:

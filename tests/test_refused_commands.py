@@ -52,7 +52,8 @@ homogenize --verbose -> No such option: --verbose
 homogenize fit -> Missing argument 'TABLE'
 homogenize fit table.csv --out new.json --kind Refined -> did you mean refined?
 macro_fem run scene.toml extra.toml --out new -> unexpected extra argument (extra.toml)
-macro_fem size scene.toml -> Missing option '--vary'; choose from: pitch, mass, speed, r2
+macro_fem size scene.toml -> Missing option '--vary'
+macro_fem size scene.toml --vary mas --from 1 --to 2 --factor 1 -> not one of pitch, mass, speed, r2; did you mean mass?
 macro_fem modes scene.toml --out new --number 3.5 -> '3.5' is not a whole number
 macro_fem localize curtain --out new --max-rings 0 -> 0 is not in the range x>=1
 macro_fem run {"a" * 999} --out new -> cannot be read

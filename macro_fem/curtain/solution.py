@@ -145,13 +145,22 @@ class CurtainSolution(CurtainState, Judged):
         errors += 0.0 if self.settling is None else self.settling.misfit
         return float(errors * self._total + 2.0 * self.tension * self.problem.mesh.size)
 
-    def mean_place(self) -> Array:
-        """Mean position over the reference area (d,), mm."""
-        return np.average(self.x, axis=0, weights=load_vector(self.problem.exact, np.array([1.0]))[:, 0])
+    def area_mean(self, values: Array) -> Array:
+        """Mean of nodal values (n_nodes, ...) over the reference area."""
+        return np.average(values, axis=0, weights=load_vector(self.problem.exact, np.array([1.0]))[:, 0])
 
     def mean_height(self) -> float:
         """Mean of y over the reference area, mm."""
-        return float(self.mean_place()[1])
+        return float(self.area_mean(self.x[:, 1]))
+
+    def sag(self) -> tuple[float, float] | None:
+        """Displacement along the weight, the mean over the reference area and the largest, mm, of a sheet whose weight
+        acts mostly along z; None of others."""
+        weight = np.array(self.problem.scene.load.acceleration)
+        if np.abs(weight).argmax() != 2:
+            return None
+        along = self.displacement @ (weight / np.linalg.norm(weight))
+        return float(self.area_mean(along)), float(along.max())
 
     def lean(self) -> float:
         """How far the lower end hangs to the right of the upper one, mm: the mean over the reference area of the part

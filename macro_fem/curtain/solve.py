@@ -243,8 +243,8 @@ def with_forces(found: CurtainSolution) -> CurtainSolution:
     if elastic is None or elastic.status != "converged":
         return replace(found, second_step=(False, f"forces are one choice of many: {why}"))
     why = (
-        f"{stiff} leave {count} sets of support forces open: forces, line loads and the safety factor are those of "
-        f"{soft}, {elastic.iterations} more steps of the solver; shape and heights are those of {stiff}"
+        f"the supports are statically indeterminate, to the degree {count}: forces, line loads and the safety factor "
+        f"are those of {soft}, {elastic.iterations} more steps of the solver; the shape is that of {stiff}"
     )
     return replace(
         found,

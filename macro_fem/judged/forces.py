@@ -10,7 +10,7 @@ import numpy as np
 from macro_fem.curtain import CurtainSolution, CurtainState
 from macro_fem.scene.meshing.mesh import point_node
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.support_kinds import Held, Hooks, Track
+from macro_fem.scene.support_kinds import Hanging, Held
 from macro_fem.scene.tables import PatchLoad, PointLoad, in_3d
 from macro_fem.summary import HeldPoint, ObstacleForce, ObstacleStep, RingSupport, Rounds, SupportForce
 from rve.common import Array, digits
@@ -95,9 +95,9 @@ def support_forces(solution: CurtainState) -> tuple[SupportForce, ...]:
             force_N=part.sum(axis=0).tolist(),
             largest_nodal_force_N=largest,
             largest_force_per_ring_N=None if len(held.facets) else largest / item.rings_per_hook,
-            capacity_N=item.capacity if isinstance(item, Hooks | Track) else None,
+            capacity_N=None if len(held.facets) else item.capacity,
             pitch_mm=row and row.pitch,
-            pitch_asked_mm=item.pitch if row and isinstance(item, Hooks | Track) else None,
+            pitch_asked_mm=item.pitch if isinstance(item, Hanging) else None,
             nodes_held=len(held.nodes),
             length_held_mm=float(np.hypot(*problem.mesh.sides[held.facets].T).sum()),
             points=points,

@@ -69,10 +69,10 @@ def links(summary: Utilisation, supports: Sequence[SupportForce]) -> list[Link]:
     for number, support in enumerate(supports, 1):
         capacity, force = support.capacity_N, support.largest_nodal_force_N
         if capacity is not None and force > UNLOADED * capacity:
-            kind = "runner" if support.support == "track" else support.support.removesuffix("s")
+            held = support.points
+            kind = str(held[0].point).rpartition(" ")[0] if held else "point"
             of = f" of support {number}" if len(supports) > 1 else ""
             text = f"{kind}s of support {number} bear up to {digits(force, 4)} N of {capacity:g} N"
-            held = support.points
             most = held[first_of_largest([one.size_N for one in held])] if held else None
             place = _place(most.at_mm, f"{most.point}{of}") if most else ""
             found.append(Link(capacity / force, f"{kind} capacity{of}", text, place))

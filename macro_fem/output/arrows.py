@@ -61,13 +61,15 @@ FORCES = (
 
 
 def halved(x: Array, nodes: np.ndarray, most: int) -> list[np.ndarray]:
-    """The nodes, of places x (n, 3), in at most `most` groups: halved along the longer extent again and again.
+    """The nodes, of places x (n, 3), in at most `most` groups: halved along the longest extent again and again, of
+    extents that are much the same along the first, so that mirrored parts are cut alike.
 
     >>> [part.tolist() for part in halved(np.array([[3.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0]]), np.arange(3), 2)]
     [[1], [2, 0]]
     """
     if most < 2 or len(nodes) < 2:
         return [nodes] if len(nodes) else []
-    order = nodes[np.argsort(x[nodes, np.ptp(x[nodes], axis=0).argmax()], kind="stable")]
+    extent = np.ptp(x[nodes], axis=0)
+    order = nodes[np.argsort(x[nodes, np.argmax(extent >= 0.8 * extent.max())], kind="stable")]
     first, half = most // 2, len(order) // 2
     return [*halved(x, order[:half], first), *halved(x, order[half:], most - first)]

@@ -40,6 +40,8 @@ GOVERNS = {
 """What governs a curtain in motion, by its names in summary.json."""
 MOVING = ("smallest_factor", "at_s", "peak_support_force_N", "peak_support_force_at_s", "reached_s")
 """Further columns of curtains in motion."""
+SAG = ("mean_sag_mm", "largest_sag_mm")
+"""Further columns of sheets whose weight acts along z; lines and the chart have the first in place of the height."""
 
 
 def design_columns(record: Record, names: Sequence[str] = COLUMNS) -> Row:
@@ -50,16 +52,23 @@ def design_columns(record: Record, names: Sequence[str] = COLUMNS) -> Row:
     if forces := [one["largest_nodal_force_N"] for one in record["support_forces"]] if is_moving else []:
         weakest["governing_force_N"] = max(forces)
     known = weakest | dict(record) | record.get("order", {})
-    return {name: known.get(name, "") for name in (*names, *(MOVING if is_moving else ()))}
+    more = [*(MOVING if is_moving else ()), *(name for name in SAG if name in known)]
+    return {name: known.get(name, "") for name in (*names, *more)}
 
 
 def design_line(row: Row) -> str:
     """A design that has an answer in a line, as far as it is known."""
-    known = {name: _number(row[name], 4) for name in SHOWN if isinstance(row[name], int | float)}
+    known = {name: _number(row[name], 4) for name in _shown([row]) if isinstance(row[name], int | float)}
     words = {"mass_kg": "{} kg", "rings": "{} rings", "mean_height_mm": "mean height {} mm",
-             "governing_force_N": "largest force {} N", "wall_s": "{} s"}  # fmt: skip
+             SAG[0]: "mean sag {} mm", "governing_force_N": "largest force {} N", "wall_s": "{} s"}  # fmt: skip
     numbers = [text.format(known[name]) for name, text in words.items() if name in known]
     return "; ".join(filter(None, [f"{row['name']}: {_held(row)}", ", ".join(numbers), row["governing_note"]]))
+
+
+def _shown(rows: Sequence[Row]) -> dict[str, str]:
+    """`SHOWN`, of sheets that all sag along z with the sag in place of the height."""
+    sag = {"mean_height_mm": (SAG[0], "mean sag, mm")} if all(SAG[0] in row for row in rows) else {}
+    return dict(sag.get(name, (name, label)) for name, label in SHOWN.items())
 
 
 def _number(value: float, count: int) -> str:
@@ -126,7 +135,7 @@ def chart(rows: Sequence[Row]) -> Figure:
     """Each number of `SHOWN` as bars, a line for each design."""
     figure = new_figure(7.6, 2.0 * (0.26 * len(rows) + 0.85))
     colours = [{True: GREEN, False: VERMILION}.get(row["holds"], "#9aa3b2") for row in rows]
-    for ax, (name, label) in zip(figure.subplots(2, 3, sharey=True).flat, SHOWN.items(), strict=True):
+    for ax, (name, label) in zip(figure.subplots(2, 3, sharey=True).flat, _shown(rows).items(), strict=True):
         values = np.array([row[name] if isinstance(row[name], int | float) else np.nan for row in rows], float)
         bars = ax.barh([row["name"] for row in rows], np.nan_to_num(values), color=colours, height=0.7)
         texts = [_number(row[name], 3) if isinstance(row[name], int | float) else "" for row in rows]

@@ -51,7 +51,7 @@ def summarize(solution: CurtainSolution) -> CurtainNumbers:
     disc = problem.disc
     area, x, in_space = disc.cell_area, solution.x, problem.fem.d == 3
     parts = np.bincount(solution.state(), weights=area, minlength=3) / area.sum()
-    per_area = areal_mass(problem.scene, problem.law.cell)
+    per_area, sag = areal_mass(problem.scene, problem.law.cell), solution.sag()
     found = CurtainNumbers(
         status=solution.status,
         message=solution.message,
@@ -60,7 +60,9 @@ def summarize(solution: CurtainSolution) -> CurtainNumbers:
         lowest_point_mm=float(x[:, 1].min()),
         lowest_point_at_mm=x[x[:, 1].argmin()].tolist() if in_space else None,
         out_of_plane_mm=float(np.abs(x[:, 2]).max()) if in_space else None,
-        centre_of_gravity_mm=solution.mean_place().tolist() if in_space else None,
+        mean_sag_mm=sag and sag[0],
+        largest_sag_mm=sag and sag[1],
+        centre_of_gravity_mm=solution.area_mean(solution.x).tolist() if in_space else None,
         lean_mm=solution.lean(),
         max_displacement_mm=float(np.linalg.norm(solution.displacement, axis=1).max()),
         **judge_line_loads(solution).parts(),

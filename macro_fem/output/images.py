@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from math import ceil
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -50,6 +52,9 @@ def compose(
     shown = {name: part for panel in range(panels) for name, part in parts(plotter, panel).items()}
     plain = {name: one for name, (*one, scale) in shown.items() if scale is None and name not in UNLISTED}
     scales = {scale for *_, scale in shown.values() if scale is not None}
+    if (lines := ceil(len(title) / (13.0 * width))) > 1 and "\n" not in title:  # of one length, that end at commas
+        clauses = re.sub(r"(?<![,;:]) ", "\N{NO-BREAK SPACE}", title)
+        title = fill(clauses, len(title) // lines + 9, break_long_words=False, break_on_hyphens=False)
     # Room of a name in a legend, inches.
     named = max(int(width / 3.0), 1)
     room = 0.6 * len(scales) + 0.2 * -(-len(plain) // named) + 0.25 * rows * bool(captions)
@@ -63,8 +68,7 @@ def compose(
         ax.imshow(image, interpolation="antialiased")
     for ax, caption in zip(axes.flat, captions, strict=False):
         ax.set_title(caption, fontsize=9)
-    together = re.sub(r"(?<=\d) (?=[a-zA-Z])", "\N{NO-BREAK SPACE}", title)  # no line ends between number and unit
-    figure.suptitle(together, fontsize=10, wrap=True)
+    figure.suptitle(title, fontsize=10, wrap=True)
     for scale in scales:
         scale.add_bar(*axes.flat, location="bottom", shrink=0.7, aspect=40, pad=0.01)
     marks = [

@@ -189,7 +189,7 @@ def panels(solution: CurtainSolution) -> Figure:
     from matplotlib.patches import Patch
 
     extent = np.ptp(np.vstack([solution.x[:, :2], solution.problem.disc.nodes]), axis=0)
-    figure = new_figure(6.4, float(np.clip(2.5 * extent[1] / extent[0], 2.0, 6.4)) + 1.3)
+    figure = new_figure(6.4, float(np.clip(2.5 * extent[1] / extent[0], 2.0, 6.4)) + 1.4)
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     plot_line_loads(solution, axes[0])
     state = solution.state()
@@ -202,7 +202,11 @@ def panels(solution: CurtainSolution) -> Figure:
         cells = solution.corners[:, :2][solution.problem.mesh.mesh.t.T[is_over]]
         axes[1].add_collection(PolyCollection(list(cells), **over))
         patches.append(Patch(**over, label="cell folded over"))
-    _legend(axes[1], patches)
+    axes[0].set_title("")
+    figure.suptitle(space_view.title(solution), fontsize=9)
+    axes[0].get_legend().remove()  # one for both panels
+    handles = [*axes[0].get_legend_handles_labels()[0], *patches]
+    figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
     return figure
 
 
@@ -275,20 +279,21 @@ def one_per_square(points: Array, chosen: np.ndarray, number: int) -> np.ndarray
 
 
 def draw_loads(solution: CurtainSolution, ax: Axes, axes: tuple[int, int] = (0, 1)) -> None:
-    """Loads at points and wind as arrows in two coordinates, the longest of each a part of the size of the mesh."""
+    """Loads at points and wind as arrows in two coordinates, as long as a part of the size of the mesh for the largest
+    of each seen from its side; many arrows are thin."""
     size = space_view.LONGEST * solution.problem.mesh.size
     for name, colour, forces, way in FORCES[2:]:
+        longest = float(np.linalg.norm(forces(solution)[1], axis=1).max(initial=0.0))
         at, force = (part[:, axes] for part in forces(solution))
-        if longest := float(np.linalg.norm(force, axis=1).max(initial=0.0)):
+        if np.abs(force).max(initial=0.0) > 1e-6 * longest:
             ax.update_datalim(at + way * size * force / longest)
             ends: Any = {"angles": "xy", "scale_units": "xy", "scale": longest / size}
-            ends |= {"units": "inches", "width": 0.04}
+            ends |= {"units": "inches", "width": 0.04 if len(at) < 8 else 0.02}
             ends |= {"pivot": "tail" if way > 0 else "tip", "label": f"{name}, up to {digits(longest)} N"}
             ax.quiver(*at.T, *force.T, color=colour, ec="white", lw=0.5, zorder=6, **ends)
             ax.autoscale_view()
 
 
-def _legend(ax: Axes, more: Sequence[Any] = ()) -> None:
-    """What lines and markers mean, and the handles `more`, below the axes."""
-    handles = [*more, *ax.get_legend_handles_labels()[0]]
-    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=1, frameon=False, fontsize=8)
+def _legend(ax: Axes) -> None:
+    """What lines and markers mean, below the axes."""
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=1, frameon=False, fontsize=8)

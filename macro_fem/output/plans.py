@@ -23,7 +23,7 @@ from macro_fem.scene.support_kinds import Curve, Hanging, Track
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, Wind, in_3d
 from rve.common import Array, digits
 from rve.common.drawing.plane import VERMILION, as_typed, new_figure
-from rve.common.drawing.space import new_plotter
+from rve.common.drawing.space import THREE_QUARTERS, new_plotter
 from rve.common.optional import Axes, Figure, Plotter
 from rve.geometry import padded
 
@@ -132,7 +132,7 @@ def _loads_on_sheet(solution: CurtainSolution, ax: Axes, off: float) -> None:
     edges += [(one.edge, np.array(in_3d(one.force)), f"{_size(one.force)} N/mm") for one in scene.of(EdgeLoad)]
     if gravity.any():
         weight = areal_mass(scene, problem.law.cell) * PER_MM2 * float(problem.disc.cell_area.sum()) * gravity
-        spot = centre + [-0.38, 0.3] * np.ptp(mesh.mesh.p, axis=1)
+        spot = centre + [-0.38, 0.42] * np.ptp(mesh.mesh.p, axis=1)
         _arrow(ax, spot, weight, 1.5 * off, f"weight {_size(weight)} N")
     for name, force, words in edges:
         facets = mesh.mesh.facets[:, mesh.edges[name]]
@@ -148,7 +148,7 @@ def _loads_on_sheet(solution: CurtainSolution, ax: Axes, off: float) -> None:
         _arrow(ax, np.array(load.at), np.array(in_3d(load.force)), 1.2 * off, f"{_size(load.force)} N")
     for wind in scene.of(Wind):
         strength = f"{wind.pressure:g} N/m2" if wind.speed is None else f"{wind.speed:g} m/s"
-        spots = centre + off * np.array([[-2.5, 1.5], [2.5, 1.5], [0.0, 3.0], [-2.5, -1.5], [2.5, -1.5]])
+        spots = centre + off * np.array([[-2.5, 1.5], [2.5, 1.5], [0.0, 3.0], [-2.5, -1.5]])  # not below words
         for spot in spots:
             _arrow(ax, spot, np.array(in_3d(wind.direction)), 1.2 * off)
         _arrow(ax, centre, np.array(in_3d(wind.direction)), 1.2 * off, f"wind {strength}")
@@ -244,8 +244,14 @@ def side_is_slim(solution: CurtainSolution) -> bool:
 
 
 def draw_view(solution: CurtainSolution, width: float, most: float) -> Figure:
-    """The curtain in space, coloured by its line loads, with all forces on it."""
-    return draw_views([partial(space_view.draw_curtain, solution)], width, most)
+    """The curtain in space, coloured by its line loads, with all forces on it, from the right or, where much more of it
+    is seen from there, from the left."""
+    at = padded(solution.corners)[solution.problem.mesh.mesh.t.T]
+    normals = np.cross(at[:, 1] - at[:, 0], at[:, 2] - at[:, 0])
+    left = (-THREE_QUARTERS[0], *THREE_QUARTERS[1:])
+    seen = [np.abs(normals @ way).sum() for way in (THREE_QUARTERS, left)]
+    way = left if seen[1] > 1.2 * seen[0] else THREE_QUARTERS
+    return draw_views([partial(space_view.draw_curtain, solution, direction=way)], width, most)
 
 
 def draw_views(views: Sequence[Draw], width: float, most: float, captions: Sequence[str] = ()) -> Figure:

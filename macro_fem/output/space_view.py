@@ -74,7 +74,7 @@ class PictureFrame:
             for at, force in kind
         ]
         around = box_of(np.concatenate([room, *ends]))
-        lowest = float(min(around[0, 1], room[0, 1] - 0.06 * size))
+        lowest = float(around[0, 1] - 0.06 * size)  # the ruler and its words are below arrows
         frame = cls(line_load_scale(steps), room, around, size, arrow, largest, lowest)
         bodies = [obstacle_mesh(one, frame, lowest) for step in steps for one in step.obstacles]
         bounds = [np.reshape(one.bounds, (3, 2)).T for one in bodies if one is not None]
@@ -110,7 +110,7 @@ def draw_curtain(
         space.add(plotter, f"{name}, longest {digits(largest)} N", shown, colour, in_front=True)
     down = np.abs(solution.problem.scene.load.acceleration)
     if down[1] == down.max():  # a sheet whose weight acts along z lies level: nobody stands beside it
-        _add_surroundings(plotter, curtain, frame, ground)
+        _add_surroundings(plotter, curtain, frame, ground, is_right_end=direction[0] > 0.0)
     space.look(plotter, direction, box=box_of(np.vstack([frame.around, np.reshape(plotter.renderer.bounds, (3, 2)).T])))
     return plotter
 
@@ -124,6 +124,8 @@ def views(steps: Sequence[CurtainState]) -> list[Draw]:
 def title(solution: CurtainSolution) -> str:
     """What a picture is headed by."""
     load = float(np.linalg.norm(solution.problem.force.sum(axis=0)))
+    if (sag := solution.sag()) is not None:
+        return f"total load {digits(load, 4)} N, mean sag {sag[0]:.1f} mm, largest {sag[1]:.1f} mm"
     height = f"mean height {solution.mean_height():.1f} mm, lowest point {solution.x[:, 1].min():.1f} mm"
     out = np.abs(solution.x[:, 2:]).max(initial=0.0)
     return f"total load {digits(load, 4)} N, {height}" + (f", |z| up to {out:.1f} mm" if out > 0.05 else "")
@@ -187,8 +189,11 @@ def add_supports(plotter: Plotter, solution: CurtainState, size: float) -> None:
         space.add(plotter, name, space.balls(np.concatenate(places), 0.006 * size), HELD)
 
 
-def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: PictureFrame, ground: float) -> None:
-    """Ground, the curtain's shadow on it, and for the scale a ruler before it and a person beside a large one."""
+def _add_surroundings(
+    plotter: Plotter, curtain: PolyData, frame: PictureFrame, ground: float, *, is_right_end: bool
+) -> None:
+    """Ground, the curtain's shadow on it, and for the scale a ruler before it and a person beside a large one, at its
+    right end if it is seen from the left."""
     import pyvista
 
     shadow = curtain.copy()
@@ -198,16 +203,18 @@ def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: PictureFrame, 
     foot = np.array([box[0, 0], ground, box[1, 2] + 0.05 * size])
     # Scenes of this size in mm and larger are shown beside a person, smaller ones beside a ruler alone.
     is_large = float((box[1] - box[0]).max()) >= 2000.0
+    feet = foot.copy()
     if is_large:
+        feet[0] = box[1, 0] + 0.3 * PERSON_MM if is_right_end else box[0, 0] - 0.3 * PERSON_MM
         up = PERSON_MM * np.array([0.0, 1.0, 0.0])
-        feet, radius, length = foot - [0.3 * PERSON_MM, 0.0, 0.0], 0.08 * PERSON_MM, 0.68 * PERSON_MM
+        radius, length = 0.08 * PERSON_MM, 0.68 * PERSON_MM
         body = pyvista.Capsule(center=feet + 0.42 * up, direction=up, radius=radius, cylinder_length=length)
         head = pyvista.Sphere(radius=0.065 * PERSON_MM, center=feet + 0.93 * up)
         space.add(plotter, "person, 1.75 m", body + head, space.MEASURE)
     space.add_length(plotter, foot[None] + [0.0, 0.006 * size, 0.0], size)
     space.add(plotter, "_shadow", shadow, SHADOW, **space.FLAT)
     thrown = box + max(box[1, 1] - ground, 0.0) * LIGHT  # the patch is as large in all pictures of a series
-    beside = foot - [[0.4 * PERSON_MM if is_large else 0.0, 0.0, 0.0]]
+    beside = feet + np.outer([-1.0, 1.0] if is_large else [0.0], [0.1 * PERSON_MM, 0.0, 0.0])
     (x0, _, z0), (x1, _, z1) = box_of(np.concatenate([frame.around, thrown, beside]))
     middle, room = (0.5 * (x0 + x1), ground - 1e-3 * size, 0.5 * (z0 + z1)), 0.05 * size
     floor = pyvista.Plane(center=middle, direction=(0.0, 1.0, 0.0), i_size=z1 - z0 + room, j_size=x1 - x0 + room)

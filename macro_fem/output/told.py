@@ -94,8 +94,7 @@ def curtain_lines(summary: CurtainSummary, out: Path, *, explain: bool) -> Itera
     """How a curtain ended, its numbers, what to order, and whether it holds; `explain`: what was used and left out."""
     yield f"{summary.status}: {summary.message}"
     yield from summary.notes
-    heights = _heights(summary.mean_height_mm, summary.lowest_point_mm, summary.out_of_plane_mm)
-    yield f"{heights}, largest line load {digits(summary.max_principal_line_load_N_per_mm, 4)} N/mm"
+    yield f"{_heights(summary)}, largest line load {digits(summary.max_principal_line_load_N_per_mm, 4)} N/mm"
     sizes = f"{summary.cells} cells, {summary.dofs} unknowns, {summary.iterations} iterations"
     yield f"{sizes}, {summary.wall_s:.2f} s; written to {out}"
     yield from hooks_lines(summary)
@@ -124,9 +123,12 @@ def lean_note(summary: CurtainSummary) -> str | None:
     )
 
 
-def _heights(mean: float, lowest: float, out: float | None = None) -> str:
-    away = "" if out is None else f", |z| up to {out:.3f} mm"
-    return f"mean height {mean:.3f} mm, lowest point {lowest:.3f} mm{away}"
+def _heights(told: CurtainNumbers | EveryRingSummary) -> str:
+    """Where the mesh hangs; of a sheet whose weight acts along z how far it sags."""
+    if (sag := told.get("mean_sag_mm")) is not None:
+        return f"mean sag {sag:.3f} mm, largest {told['largest_sag_mm']:.3f} mm"
+    away = f", |z| up to {out:.3f} mm" if (out := told.get("out_of_plane_mm")) is not None else ""
+    return f"mean height {told.mean_height_mm:.3f} mm, lowest point {told.lowest_point_mm:.3f} mm{away}"
 
 
 def motion_lines(summary: MotionSummary, out: Path) -> Iterator[str]:
@@ -168,7 +170,7 @@ def every_ring_lines(summary: EveryRingSummary, out: Path) -> list[str]:
     return [
         f"{summary.status}: {summary.message}",
         *summary.notes,
-        f"{summary.ring_count} rings, {_heights(summary.mean_height_mm, summary.lowest_point_mm)}",
+        f"{summary.ring_count} rings, {_heights(summary)}",
         left,
         f"{gap}, {summary.wall_s:.2f} s; written to {out}",
     ]
@@ -219,7 +221,7 @@ def order_lines(order: Order) -> list[str]:
         lines += [f"  bar{'s' * (order.bars > 1)} of {order.bars_kg:g} kg, {digits(order.bars_mm, 5)} mm long"]
     if order.track_mm is not None:
         lines += [f"  track of {digits(order.track_mm, 5)} mm"]
-    return [*lines, f"  held over {order.held_width_mm:.1f} mm, lowest point at {order.lowest_point_mm:.1f} mm"]
+    return [*lines, f"  held over {order.held_width_mm:.1f} mm"]
 
 
 def combination_lines(summary: CurtainSummary) -> list[str]:
@@ -254,15 +256,6 @@ def governing_line(summary: CurtainSummary) -> str:
     force = max(row.largest_force_N for row in rows)
     held = "holds" if factor >= 1.0 else "does not hold"
     return f"{text}, {held}{_factor(most)}; largest force of a single point {digits(force, 4)} N"
-
-
-def verdict(summary: CurtainSummary) -> tuple[str, bool]:
-    """Whether the curtain holds, as a report begins; and whether nothing that is known says that it does not."""
-    solved, is_held = summary.status == "converged", summary.holds is not False
-    if solved and summary.envelope is not None:
-        return governing_line(summary), is_held
-    first, *more = (holds_line(summary) if solved else f"{summary.status}: {summary.message}").split("; ")
-    return "; ".join([first, *more[:1]]), solved and is_held
 
 
 def interval_line(summary: CurtainSummary) -> str:

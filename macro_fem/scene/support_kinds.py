@@ -7,7 +7,7 @@ A support tells `places`: single points of the outline, or a named edge as a who
 import math
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, cast
 
 import numpy as np
 from msgspec import Meta
@@ -82,7 +82,7 @@ class Support(Timed):
     edge_needed: ClassVar[str | None] = "top"
     one: ClassVar[str] = "point"
     """What results call one of the points that it holds."""
-    gather, rings_per_hook, held = 1.0, 1, "both"
+    gather, rings_per_hook, held, capacity = 1.0, 1, "both", cast("float | None", None)
     release: Time | None = field(default=None, repr=False)
 
     def places(self, border: Border) -> Places:

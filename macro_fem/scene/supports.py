@@ -151,6 +151,7 @@ def _held(scene: Scene, number: int, mesh: CurtainMesh, disc: Discretization, fa
         _check_held(held, item, d)
     positions = held.positions[:, :d] + factor * scene.vector(item.move)
     slide, facets = None if held.slide is None else held.slide[:d], mesh.edges.get(places.edge, NONE)
+    facets = facets[np.isin(mesh.mesh.facets[:, facets], held.nodes).all(axis=0)]
     held = replace(held, mask=held.mask[:, :d], positions=positions, slide=slide, facets=facets, number=number)
     if disc.element != "P2" or not len(facets):
         return held

@@ -8,6 +8,7 @@ import pytest
 
 import macro_fem
 from macro_fem.output import STATES, compose, in_turn, panels, parts, pulls, views, winds
+from macro_fem.output.arrows import halved
 from rve import InputError
 from rve.common.drawing.space import new_plotter
 from tests.commands import run
@@ -47,7 +48,7 @@ def test_pictures_of_a_series_share_the_ground_and_the_names_of_forces(hammock, 
     assert half == whole
     assert "load at a point, longest 1.41 N" in whole
     assert panels(plane.solution).axes[0].get_legend_handles_labels()[1][-1] == "load at a point, up to 1.41 N"
-    told = {text.get_text() for text in panels(plane.solution).axes[1].get_legend().get_texts()}
+    told = {text.get_text() for text in panels(plane.solution).legends[0].get_texts()}
     assert told & STATES.keys() == {name for k, name in enumerate(STATES) if k in plane.solution.state()} < {*STATES}
 
 
@@ -147,3 +148,22 @@ def test_rings_of_a_curtain_in_space_are_those_of_its_files_and_lie_on_it(hammoc
     np.testing.assert_allclose(np.linalg.norm(rings.normal, axis=1), 1.0, atol=1e-12)
     rings.write_html(tmp_path / "rings.html")
     assert f"{len(rings)} rings" in (tmp_path / "rings.html").read_text(encoding="utf-8")
+
+
+def test_parts_of_a_sheet_that_are_alike_have_their_arrows_in_the_same_rows():
+    """Rounding of nearly square halves does not decide whether they are cut upright or across."""
+    x = np.array([[i, j, 0.0] for j in range(16) for i in range(8)])
+    x[-1, 1] += 1e-6
+    x[0, 0] -= 2e-6
+    parts_of = halved(x, np.arange(len(x)), 16)
+    assert {len(one) for one in parts_of} == {8}
+    assert np.array([np.ptp(x[one], axis=0) for one in parts_of]) == pytest.approx(
+        np.tile([1.0, 3.0, 0.0], (16, 1)), abs=1e-5
+    )
+
+
+def test_a_long_title_breaks_after_a_comma():
+    title = "total load 122.9 N, mean height -682.8 mm, lowest point -2025.9 mm, |z| up to 1000.0 mm"
+    first, second = compose(new_plotter(), title).get_suptitle().replace("\N{NO-BREAK SPACE}", " ").split("\n")
+    assert (first, second) == (title[:42], title[43:])
+    assert compose(new_plotter(), title[:42]).get_suptitle() == title[:42]

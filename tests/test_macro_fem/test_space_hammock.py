@@ -9,7 +9,8 @@ import pytest
 from scipy.optimize import brentq
 
 from homogenize import ClothLaw, default_law
-from macro_fem import read_scene
+from macro_fem import load_scene, read_scene, solve
+from tests.commands import run
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
 from tests.test_macro_fem.sheets import sheet, solve_scene
 
@@ -107,6 +108,33 @@ def test_a_hammock_is_a_catenary(name, meshes):
     both, pull = errors(name, found[-1])
     assert np.abs(both).max() < 1e-3
     assert abs(pull) < 5e-3
+
+
+NET = f"""
+curtain = {{width = {WIDTH}, height = {LENGTH}, weave_angle = "y", areal_mass = {MASS}}}
+mesh = {{cells = 8, pattern = "diagonal"}}
+support = [{{kind = "top"}}, {{kind = "edge", edge = "bottom", move = [0.0, 400.0, 0.0]}}]
+load = {{gravity = [0.0, 0.0, {-GRAVITY}]}}
+"""
+
+
+def test_a_net_across_its_weight_tells_its_sag(tmp_path):
+    """A catenary below two level rails in the plane of the flat sheet; heights say nothing, so the sag is told."""
+    (tmp_path / "net.toml").write_text(NET)
+    answer = solve(load_scene(tmp_path / "net.toml"))
+    rope, told = Catenary(law_of("y")[2] * LENGTH, LENGTH - 400.0, 0.0), answer.summary
+    assert told.mean_sag_mm == pytest.approx(-rope.mean, rel=1e-3)
+    assert told.largest_sag_mm == pytest.approx(-rope.low, rel=1e-3)
+    assert told.largest_sag_mm == pytest.approx(-answer.loaded.x[:, 2].min(), rel=1e-12)
+    said = f"mean sag {told.mean_sag_mm:.3f} mm, largest {told.largest_sag_mm:.3f} mm, largest line load"
+    text = run("macro_fem", "run", tmp_path / "net.toml", "--out", tmp_path / "out", "--no-picture").output
+    assert said in text
+    words = ["compare-designs", tmp_path / "net.toml", "--out", tmp_path / "all", "--no-picture"]
+    text += (compared := run("macro_fem", *words).output)
+    assert f"mean sag {told.mean_sag_mm:.4g} mm" in compared
+    assert "lowest point" not in text
+    assert "mean height" not in text
+    assert hammock("cloth", 2).sag() is None
 
 
 def test_clarabel_and_our_solver_agree_for_cloth():
