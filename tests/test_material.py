@@ -14,6 +14,7 @@ AREAL_MASS = TITANIUM * 2.0 * (2.0 * math.pi**2 * 5.0 * 0.5**2) / (B_X * B_Y) * 
 SCENE = 'curtain = {width = 300.0, height = 200.0}\nmesh = {cells = 4}\nsupport = {kind = "top"}\n'
 
 
+@pytest.mark.slow
 def test_one_density_from_the_command_line_to_the_weight_of_the_curtain(tmp_path):
     table, law, scene, out = (tmp_path / name for name in ("table.csv", "law.json", "scene.toml", "out"))
     run("rve", "table", "--out", table, "--density", TITANIUM, "--alpha", "0:45:15", "--beta", "0:90:15")

@@ -111,6 +111,7 @@ def test_a_curtain_of_an_own_law_on_an_own_support(folder: Path) -> None:
     assert place[:, 1] == pytest.approx(400.0 - 160.0 * (x := (place[:, 0] - 30.0) / 540.0) * (1.0 - x), abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_workers_of_a_sweep_load_plugins(folder: Path, jobs: int) -> None:
     (folder / "other.toml").write_text(SCENE.replace("40.0", "20.0"))

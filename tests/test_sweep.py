@@ -67,6 +67,7 @@ def test_a_sweep_writes_what_single_commands_do_and_names_what_failed(tmp_path, 
     assert [row["rows_converged"] for row in rows[:2]] == ["6", "6"]
 
 
+@pytest.mark.slow
 def test_the_same_sweep_again_runs_only_what_is_not_finished(tmp_path, single):
     ask = ("sweep", "--out", tmp_path, "--r1", "5", "--r2", "0.5,1", *GRID)
     assert run(rve, *ask).exit_code == 0
@@ -82,6 +83,7 @@ def test_the_same_sweep_again_runs_only_what_is_not_finished(tmp_path, single):
     assert first.stat().st_mtime_ns > times[0]
 
 
+@pytest.mark.slow
 def test_scenes_side_by_side(tmp_path):
     for name, height in (("low", 50.0), ("high", 100.0), ("bad", -1.0)):
         (tmp_path / f"{name}.toml").write_text(SCENE.format(height=height))
@@ -118,6 +120,7 @@ def two_laws(tmp_path):
     return paths
 
 
+@pytest.mark.slow
 def test_every_scene_with_every_law_is_a_design_in_one_table(tmp_path, two_laws):
     """Twice the mass of rings that are no stronger is half the factor; a design that fails costs no other."""
     for name, height in (("low", 50.0), ("bad", -1.0)):
@@ -189,6 +192,7 @@ def test_a_sweep_takes_several_laws(tmp_path, two_laws):
     assert (twice.exit_code, "are called so" in twice.output) == (2, True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("shape", "name"), [("file", "mesh.vtu"), ("dxf", "drawing.dxf")])
 def test_what_was_read_has_changed_and_is_run_again(tmp_path, shape, name):
     def draw(side):
@@ -270,6 +274,7 @@ def test_a_cluster_that_loses_a_worker_half_way_gives_the_same_tables(tmp_path, 
         assert (tmp_path / name).read_bytes() == content
 
 
+@pytest.mark.slow
 def test_a_sweep_that_loses_its_processes_keeps_what_is_finished_and_says_what_is_not(tmp_path):
     items = table_items(tmp_path, {"r1": "5", "r2": "0.5,1,0.6,0.7"}, ["4-in-1"], "y", GRID)
 

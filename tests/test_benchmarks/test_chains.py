@@ -14,6 +14,7 @@ def test_circles_around_equal_circles_have_their_closed_forms():
     assert {windings for _, windings, *_ in CHAINS} == set(BUNDLE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chain", CHAINS)
 def test_chains_lengthen_as_in_the_tests(chain):
     wire, windings, _, elongation = chain

@@ -21,6 +21,7 @@ def programme(given, case):
     return Programme(S[case], given.equations, given.sides)
 
 
+@pytest.mark.slow
 def test_the_reference_is_agreed_by_the_scheme(given):
     """The scheme extrapolated to rigid contact shares only the contact search with the direct solver."""
     assert (given.found.status == "converged").all()

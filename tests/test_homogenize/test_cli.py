@@ -112,6 +112,7 @@ def test_a_law_file_that_is_not_understood_is_refused(change, words, tmp_path):
     assert refused(run("support", path, "--S", "1,0,0"), path, "not JSON")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
 @pytest.mark.parametrize("angle", [0.0, 0.3, 1.2])
 def test_a_load_of_one_direction_is_tensile_and_one_that_pushes_by_a_little_is_not(size, angle):

@@ -52,6 +52,7 @@ def test_a_fibre_under_its_own_load_is_not_unique():
     assert found.E[0] @ (net.half_spaces().S[0] * [1.0, 2.0, 1.0]) == pytest.approx(0.105, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("law", "least"), [(default_law(), 1.0), (ring_net(ring_cell(5.0, 0.5, 11.0, 12.646)), 0.9)])
 def test_a_law_carries_loads_at_strains_of_its_own(law, least):
     """Of a net all but those of rank one that draw it to a line."""
@@ -108,6 +109,7 @@ def test_bounds_reach_what_the_rows_cannot_exclude(ellipsoid):
 TABLE = Path(__file__).parent / "data" / "table190.csv"
 
 
+@pytest.mark.slow
 def test_a_row_is_answered_with_the_row():
     """45 degrees along one axis was 0.029 off; each row's load, its mirror image and its other names give the row."""
     table = read_table(TABLE)
@@ -129,6 +131,7 @@ def test_a_row_is_answered_with_the_row():
     assert (found.E_max - found.E_min).max(axis=1).min() > 0.1  # what the load leaves free
 
 
+@pytest.mark.slow
 def test_strains_solved_off_the_grid_lie_within_the_bounds():
     rng = np.random.default_rng(21)
     alpha, beta = (np.append(rng.uniform(low, 90.0, 25), one) for low, one in ((-90.0, 8.98), (0.0, 4.333)))
@@ -162,6 +165,7 @@ def test_all_of_many_directions_and_the_dent_lie_within_the_bounds(count):
     assert np.mean(width > 0.05) < 0.04
 
 
+@pytest.mark.slow
 def test_rows_with_an_error_widen_the_bounds(ellipsoid):
     """Bounds of rows that contradict each other by 5e-3 hold the exact strain; taken at their word they would not."""
     exact = rows_of(ellipsoid, disc_grid(12, 48))  # close enough for bounds as narrow as the error

@@ -118,6 +118,7 @@ LIVE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", list(LIVE))
 def test_half_the_step_is_half_the_live_load(ring_like, scene_tables, kind):
     """Bounds at the factor 0.5 are those of half the load; the weight is not live."""

@@ -92,6 +92,7 @@ def test_more_rows_narrow_the_interval_from_both_sides():
     assert parts[0] > 2.0 * parts[1] > 4.0 * parts[2]
 
 
+@pytest.mark.slow
 def test_the_interval_of_the_rings_holds_their_answer(tables):
     scene = square(cells=4)
     found = solve_on_demand(scene, OnDemand(Cell(), 0.03, cache=tables))
@@ -107,6 +108,7 @@ def test_the_interval_of_the_rings_holds_their_answer(tables):
     assert distance(used / trace(used), found.rings.law.rows)[0] < 0.02  # where the strength is exact
 
 
+@pytest.mark.slow
 def test_rows_are_added_where_the_curtain_needs_them(tables):
     few, scene = some(12), square(cells=4)
     found = solve_on_demand(scene, OnDemand(Cell(), 0.03, few, tables))
@@ -128,6 +130,7 @@ def test_nothing_is_asked_where_the_law_is_exact(tables):
     assert found.turns[-1].rows == len(some(12).rows)
 
 
+@pytest.mark.slow
 def test_a_law_that_is_known_is_where_the_run_begins(tables):
     found = solve_on_demand(square(cells=4), OnDemand(Cell(), 0.05, KNOWN, tables))
     assert found.status == "converged"
@@ -138,6 +141,7 @@ def test_a_law_that_is_known_is_where_the_run_begins(tables):
         solve_on_demand(square(load={"gravity": 0.0}), OnDemand(Cell(), 0.05, KNOWN, tables))
 
 
+@pytest.mark.slow
 def test_two_runs_with_one_folder_give_the_same_answer(tmp_path):
     who = OnDemand(Cell(), 0.05, some(12), tmp_path / "new" / "rings")
     first, second = (solve_on_demand(square(), who) for _ in range(2))
@@ -152,6 +156,7 @@ def worse(table, rows):
     return replace(table, E=table.E - 0.02 * np.array([1.0, 0.0, 1.0]) * rows[:, None])
 
 
+@pytest.mark.slow
 def test_rows_that_contradict_each_other_are_solved_together(monkeypatch):
     """Rings that find the state of largest work only beside other loads."""
 
@@ -167,6 +172,7 @@ def test_rows_that_contradict_each_other_are_solved_together(monkeypatch):
     assert KNOWN.law.support(rings.law.rows.S) == pytest.approx(rings.law.rows.h, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_rows_that_keep_contradicting_each_other_are_no_converged_answer(monkeypatch):
     def solved(cell, loads):
         found = solve_table(cell, loads)
@@ -185,6 +191,7 @@ def test_known_rows_that_contradict_each_other_are_solved_again(tables):
     assert Rings(OnDemand(Cell(), known=wrong, cache=tables)).law.raised < 1e-8
 
 
+@pytest.mark.slow
 def test_limits_are_named(tables):
     mesh = solve_on_demand(square(), OnDemand(Cell(), 1e-3, cache=tables, most_cells=100))
     assert mesh.status == "mesh_limit"
@@ -205,6 +212,7 @@ def test_supports_that_no_state_reaches_are_refused_after_the_rings_were_asked_m
         solve_on_demand(far, OnDemand(Cell(), 0.1, cache=tables))
 
 
+@pytest.mark.slow
 def test_rings_without_an_answer_are_counted_and_named(monkeypatch):
     def solved(cell, loads):
         found = solve_table(cell, loads)
@@ -215,6 +223,7 @@ def test_rings_without_an_answer_are_counted_and_named(monkeypatch):
         Rings(OnDemand(Cell()))
 
 
+@pytest.mark.slow
 def test_tables_that_were_kept_are_read_bit_for_bit(tmp_path):
     """Of the same cell and loads only, and while they are whole."""
     known = some(20)
@@ -239,6 +248,7 @@ def test_tables_that_were_kept_are_read_bit_for_bit(tmp_path):
     assert set(question) >= {"weave", "loads_deg", "versions"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "spoil",
     [

@@ -36,6 +36,7 @@ def hanging_strip(locked, stiffness, height, per_mm2):
     return height - sag / (per_mm2 * height), stored - sag + 0.5 * per_mm2 * height**2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("hang", "kind"), [("y", "top"), ("y", "rail"), ("x", "rail")])
 @pytest.mark.parametrize(("element", "order", "stiffness"), [("P1", 2, 1.0), ("P2", 4, 1.0), ("P1", 2, 1e3)])
 def test_hanging_strips_have_their_closed_form(scene_tables, hang, kind, element, order, stiffness):
@@ -58,6 +59,7 @@ def test_hanging_strips_have_their_closed_form(scene_tables, hang, kind, element
     assert solution.mean_height() == pytest.approx(mean_height, abs=off)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("support", "load"),
     [
@@ -165,6 +167,7 @@ def test_the_dual_stress_is_that_of_the_law(scene_tables, stiffness):
     np.testing.assert_allclose(found.S, law.response(found.E).S, atol=3e-3 * np.abs(found.S).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("S", [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.5, 0.0, 0.5], [0.6, 0.3, 0.4], [0.9, -0.25, 0.1]])
 @pytest.mark.parametrize("element", ["P1", "P2"])
 def test_patch_in_every_locked_state_of_the_rings(S, element):

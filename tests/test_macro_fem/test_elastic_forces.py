@@ -45,6 +45,7 @@ def test_open_forces_in_space_are_counted_by_six_equations():
     assert self_balanced(found.problem, found.x) == 9 - 5  # points on one line: none resists turning about it
 
 
+@pytest.mark.slow
 def test_hooks_bear_what_elastic_rings_say_and_the_shape_stays_rigid():
     auto, rigid, elastic = (solve(scene(HOOKS, kind, load=BAR)) for kind in ("auto", "rigid", "elastic"))
     ours, theirs = (

@@ -68,6 +68,7 @@ def test_pressure_pushes_along_the_surface_and_its_resultant_is_that_of_the_rim(
     assert force.sum(axis=0) == pytest.approx(PRESSURE * rim, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_half_of_a_mylar_balloon_on_a_coarse_mesh():
     solution = solve_problem(quarter(4))
     assert solution.status == "converged", solution.message

@@ -54,6 +54,7 @@ def test_the_average_of_a_point_load_has_its_closed_form(x, share):
     assert slope.mean(np.array(x))[0, 0] == pytest.approx(x[1] + depth, abs=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("support", "load"),
     [

@@ -83,6 +83,7 @@ def test_too_large_a_strain_comes_back_to_the_locked_state_it_left_along_the_nor
     is_admissible(found, CELL)
 
 
+@pytest.mark.slow
 def test_strains_inside_are_met_and_all_others_get_an_admissible_pose(states, table):
     _, E, _, _ = table
     rng = np.random.default_rng(5)
@@ -340,6 +341,7 @@ def run(*arguments):
     return CliRunner().invoke(main, ["localize", *(str(a) for a in arguments)])
 
 
+@pytest.mark.slow
 def test_rings_of_a_curtain_from_the_command_line(hung, tmp_path):
     result = run(hung / "curtain.vtu", "--out", tmp_path / "rings", "--no-picture")
     assert result.exit_code == 0, result.output
@@ -491,6 +493,7 @@ def test_what_is_slack_beside_a_load_changes_no_force(table):
     assert [locked, slack] == pytest.approx([cell_forces(s[3], CELL).force.max()] * 2, rel=0.04)
 
 
+@pytest.mark.slow
 def test_the_ring_at_a_hook_is_told_beside_the_forces_away_from_supports(tmp_path):
     """A heavy bar on two corners: two rings share half of the load each; cells of rings take no more on fine meshes."""
     scene = """[curtain]\nwidth = 120\nheight = 100\nweave_angle = 45\n[mesh]\ncells = 24\n[support]\nkind = "corners"

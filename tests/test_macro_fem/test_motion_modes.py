@@ -23,6 +23,7 @@ def strip(rows: int, *, kind: str = "rigid", **more):
     return solve_scene(read_scene(tables | more), default_law())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["rigid", "elastic"])
 def test_frequencies_of_a_hanging_chain(kind):
     exact = 0.25 * jn_zeros(0, 3) * np.sqrt(G / LENGTH) / np.pi
@@ -52,6 +53,7 @@ def chain_frequencies(span: float, links: int = 300) -> np.ndarray:
     return np.sort(np.sqrt(np.concatenate([along, across])) / (2.0 * np.pi))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", [2, 6])
 def test_frequencies_of_a_slack_catenary_are_those_of_its_chain(columns):
     """Of many columns triangles hold all of the load or none, in turn."""
@@ -83,6 +85,7 @@ COLUMNS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("pattern", "d", "bar"), [*COLUMNS, ("aligned", 3, 0.0), ("diagonal", 3, 0.0)])
 def test_columns_side_by_side_have_the_frequencies_of_one_and_no_others(pattern, d, bar):
     """Shapes that change from column to column are raised by the mesh, in space also by the locked surface."""
@@ -115,6 +118,7 @@ def test_shapes_stay_off_obstacles_and_free_where_no_support_holds_them():
     assert np.abs(find_modes(half, 1).shapes[0, half.problem.disc.nodes[:, 0] < 1e-6, 2]).max() > 0.9  # as in space
 
 
+@pytest.mark.slow
 def test_frequencies_go_with_the_root_of_gravity_and_close_ones_are_told_apart():
     weak = find_modes(strip(32, load={"gravity": 9.81e-8}), 1).frequencies_Hz[0]
     assert weak == pytest.approx(0.25e-4 * jn_zeros(0, 1)[0] * np.sqrt(G / LENGTH) / np.pi, rel=1e-3)

@@ -172,6 +172,7 @@ def test_the_account_closes_where_tangents_of_a_ball_still_turn(seed):
     check(run(tables, 0.05), tables)
 
 
+@pytest.mark.slow
 def test_an_elastic_sheet_that_nothing_holds_any_more_falls_in_the_wind():
     """Its frame has no supports to follow, and cells of it may be drawn to a point."""
     for seed in (5, 11):

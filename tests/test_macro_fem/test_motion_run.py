@@ -110,6 +110,7 @@ def test_a_gust_pushes_as_its_history_says(begin, step):
     assert np.diff(told["t_s"]).min() > 4e-7  # no step between two times that are nearly one
 
 
+@pytest.mark.slow
 def test_still_air_after_a_gust_slows_the_sheet():
     """1/v grows by k t, where the gust of speed U presses with k U^2 times the mass."""
     wind = {"speed": 10.0, "direction": [0.0, 0.0, 1.0], "history": [[0.0, 1.0], [0.02, 1.0], [0.021, 0.0]]}
@@ -128,6 +129,7 @@ def test_still_air_after_a_gust_slows_the_sheet():
 STILL = {"wind": {"speed": 0.0, "direction": [0.0, 0.0, 1.0]}}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("motion", "wind"), [({"damping": 3.0}, {}), ({}, STILL), ({}, {"wind": STILL["wind"] | {"follows": True}})]
 )
@@ -177,6 +179,7 @@ def test_start_lays_a_sheet_in_space_that_is_let_go():
         moved(scene | {"obstacle": {"kind": "floor", "height": 120.0}})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [{"step": 0.01}, {}])
 def test_a_wall_that_sets_off_at_once_takes_the_sheet_along(step):
     """Differences over the kinks of its history would throw the sheet ahead, with up to 4/3 of its speed."""
@@ -203,6 +206,7 @@ def test_a_fast_ball_is_not_passed_by(step):
     assert found.frames[-1].moment.v[-1, 2] == pytest.approx(-2400.0, rel=0.15)  # steps of 0.001 s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["rigid", "elastic"])
 def test_an_obstacle_moved_far_in_one_step_takes_the_sheet_along(kind):
     bar = {"kind": "cylinder", "axis": [1.0, 0.0, 0.0], "point": [0.0, 200.0, -60.0], "radius": 45.0}
@@ -230,6 +234,7 @@ def test_balls_fall_on_a_floor_and_strike_each_other():
     assert v[:, 0] @ [1.0, 0.5] == pytest.approx(1000.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("z", [(-30.0,), (-50.0,), (-30.0, -15.0)])
 def test_balls_stop_at_a_wall_at_the_end_of_a_step_within_the_first_and_one_after_another(z):
     ball = {"kind": "sphere", "radius": 40.0, "mass": 0.05, "velocity": [0.0, 0.0, -3000.0]}

@@ -79,6 +79,7 @@ def ball_tangents(n: int, radius: float):
     return tangents
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elastic", [False, True], ids=["rigid", "elastic"])
 def test_a_thrown_ball_and_a_free_sheet_keep_momentum_and_close_the_account(elastic):
     moving, X = free_sheet(balls=1, elastic=elastic)

@@ -149,6 +149,7 @@ def over_the_pulley(law, cells, clear):
     return solution, np.array(errors) / [LENGTH, LENGTH, 1.0, 1.0, 1.0]
 
 
+@pytest.mark.slow
 def test_strip_over_a_cylinder_is_a_rope_over_a_pulley(fitted_law):
     (one, coarse), (other, fine) = (over_the_pulley(fitted_law, cells, "nodes") for cells in (8, 16))
     for solution in (one, other):
@@ -176,6 +177,7 @@ def pushed(scene_tables, travel, **more):
     return tables | {"obstacle": sphere | more}
 
 
+@pytest.mark.slow
 def test_reaction_of_a_moving_sphere_is_the_slope_of_the_potential(fitted_law, scene_tables):
     """Virtual work: what the sphere does when it goes on is what the potential rises by."""
     step = 0.25

@@ -35,6 +35,7 @@ def hung(*items, **more):
     return Scene(Rectangle(330.0, 252.9), [Hooks(pitch=110.0), Bar(mass=2.0), *items], mesh=Mesh(cells=6), **more)
 
 
+@pytest.mark.slow
 def test_the_order_sheet_weighs_what_its_rings_weigh():
     """A ring of steel is a torus of 2 pi^2 r1 r2^2; those of the sheet weigh what the curtain weighs."""
     answer = solve(hung())
@@ -79,6 +80,7 @@ def test_factors_scale_forces_of_a_shape_that_stays():
     assert [row.combination for row in both.support_forces] == ["all", "all", "light"]
 
 
+@pytest.mark.slow
 def test_tables_of_results_hold_what_governs_and_not_the_loads_as_they_are(tmp_path):
     """sweep.csv says of a curtain that holds without factors what `run` says with them; one without has its own."""
     scene = "curtain = {width = 330.0, height = 252.9}\nmesh = {cells = 3}\nsupport = {kind = 'corners'}\n"

@@ -62,6 +62,7 @@ def test_a_page_of_a_curtain(hammock, plane, tmp_path):
         plane.write_html(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["plane", "hammock"])
 def test_a_picture_and_a_film_with_a_frame_per_load_step(kind, request, tmp_path):
     request.getfixturevalue(kind).save(tmp_path, animation=True)
@@ -79,6 +80,7 @@ support = {kind = "hooks", count = 3, gather = 0.9}
 BALL = "[[obstacle]]\nkind = 'sphere'\ncentre = [50.0, 40.0, {}]\nradius = 20.0\nname = '{}'\n"
 
 
+@pytest.mark.slow
 def test_names_are_printed_as_they_are_typed(tmp_path):
     """In legends and reports: no formulae, and none left out."""
     balls = "".join(BALL.format(-60.0 * k - 60.0, name) for k, name in enumerate(NAMES))

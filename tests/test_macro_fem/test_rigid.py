@@ -72,6 +72,7 @@ def test_strip_carries_the_weight_below(ring_like, scene_tables):
     assert top == pytest.approx(weight * 20.0 * 100.0, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hang", "support"), [("y", {"kind": "corners"}), ("x", {"kind": "top", "gather": 0.9}), (30.0, {"kind": "top"})]
 )

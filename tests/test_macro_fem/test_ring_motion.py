@@ -51,6 +51,7 @@ def test_a_sheet_without_supports_falls_freely(support):
     assert found.frames[-1].rings.normal == pytest.approx(found.frames[0].rings.normal, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("resists", "wind"), [("damping", {}), ("drag", {"speed": 0.0, "direction": [0.0, 0.0, 1.0]})])
 def test_rings_fall_with_damping_and_in_still_air_to_second_order(resists, wind):
     errors, load = [], {"gravity": [0.0, 0.0, -9.81]} | ({"wind": wind} if wind else {})
@@ -107,6 +108,7 @@ def test_momentum_is_kept_and_angular_momentum_to_the_order_of_the_scheme(scheme
     assert np.log2(lost[0] / lost[1]) == pytest.approx(order, abs=0.15)
 
 
+@pytest.mark.slow
 def test_rings_that_collide_keep_momentum_and_links_and_lose_energy():
     momentum, angular, last = tossed("euler", 12, 0.02, 300.0)
     assert last.account.lost_by_locking > 0.05 * last.account.kinetic

@@ -65,6 +65,7 @@ def test_live_loads_and_edges_reach_the_rings():
     assert count == {"top": [4, 4, 4], "edge left": [3, 0, 3]}
 
 
+@pytest.mark.slow
 def test_a_law_of_the_locked_reference_answers_to_rings_wind_and_every_ring():
     """r1/r2 = 50, where the longest cell is 30 % narrower than that of rings side by side: each has its own scene of
     the same rings between the same places. The table was written by version 0.2."""

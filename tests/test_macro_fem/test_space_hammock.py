@@ -97,6 +97,7 @@ ALL = [pytest.param(name, (2, 4, 8, 16), marks=pytest.mark.release) for name in 
 ALL += [pytest.param(name, (2, 4, 8), marks=pytest.mark.slow) for name in CASES]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "meshes"), [*QUICK, *ALL])
 def test_a_hammock_is_a_catenary(name, meshes):
     """Eight cells of a quarter's width are 32 along the length; the order of the mean height is 2.00."""

@@ -88,6 +88,7 @@ def test_rail_and_corners_close_the_gap(fitted_law):
     assert solution.mean_height() == pytest.approx(376.7, rel=0.015)  # rings that do not give, by clarabel
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
     ("support", "hang"),

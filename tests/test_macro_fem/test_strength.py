@@ -127,6 +127,7 @@ def test_a_force_on_one_column_of_rings_is_that_force_over_the_width_of_a_disk()
     assert told.first_yield_near == "load.point 1"
 
 
+@pytest.mark.slow
 def test_a_mesh_too_coarse_at_an_end_of_a_held_edge_is_told():
     """No single force tells there; the factor is then an upper bound and called so, of combinations and sizes too."""
     tables = sheet(300.0, 300.0, 4, {"kind": "top"}, load={"bar": {"mass": 0.5}}, weave_angle=30.0)
@@ -143,6 +144,7 @@ NOTCHED = {"shape": "outline", "outline": [[0, 0], [66, 0], [66, 22], [55, 28], 
 HOLED = {"width": 66.0, "height": 55.0, "holes": [[[22, 16], [40, 16], [40, 34], [22, 34]]]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("curtain", "near"), [(NOTCHED, "edge "), (HOLED, "hole 1")])
 def test_a_mesh_too_coarse_at_a_notch_or_hole_says_which_one_tells_within_a_tenth(curtain, near):
     """The sentence names the place and `cells`; on those it is gone, and the utilisation is that of a mesh 1.4 times as
@@ -320,6 +322,7 @@ def test_hooks_are_compared_with_their_capacity():
     assert told.weakest_factor == told.safety_factor
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", ["welded", "butted:worst", "butted:30"])
 @pytest.mark.parametrize("rings", [1, 3])
 def test_the_ring_at_a_hook_is_pulled_by_two_opposed_forces(joint, rings):

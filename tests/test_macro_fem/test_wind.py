@@ -137,6 +137,7 @@ def crumpled(X, rng):
     return np.column_stack([X, 0.0 * X[:, 0]]) @ rng.standard_normal((3, 3)) + 150.0 * rng.standard_normal((len(X), 3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [folded, twisted, gathered, crumpled])
 @pytest.mark.parametrize(("cells", "element"), [(5, "P1"), (14, "P1"), (4, "P2")])
 def test_front_and_drag_are_those_that_pixels_count(shape, cells, element):
@@ -249,6 +250,7 @@ def test_folds_of_elastic_rings_come_to_rest_in_drag_too():
     assert -solution.reactions[:, 2].sum() == pytest.approx(wind_drags(solution)[0].drag_N, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_track_drawn_to_its_half_takes_less_than_a_plate():
     """3000 x 2300 mm on a track of radius 1500 mm at fullness 1.5: the half-open front is 1.0 m wide."""
     drags = []

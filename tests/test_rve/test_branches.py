@@ -30,6 +30,7 @@ def test_where_one_state_is_known_nothing_changes():
     assert best.origin.notes["branches"]["several_states"] == []
 
 
+@pytest.mark.slow
 def test_two_states_in_balance(tmp_path):
     """6-in-1 at r1/r2 = 10, (45, 0) degrees: the state of the slack pose does less work than two others."""
     cell = Cell(5.0, 0.5, SIX_IN_ONE)
@@ -105,6 +106,7 @@ def test_tables_of_thin_wire_are_normal(ratio, weave, short):
     assert (dead.h - double_dot(table.S, table.E)[table.converged])[good].max() < short
 
 
+@pytest.mark.slow
 def test_loads_of_rank_one_lock_in_states_that_only_long_paths_reach():
     """Paths of up to 200 iterations from random poses: without them E12 is 0.2536 and the work 1.4e-4 less."""
     table = solve_table(Cell(5.0, 5.0 / 36.0), ([45.0, 45.0], [0.0, 90.0]))
@@ -146,6 +148,7 @@ def assert_largest(cell, alpha, beta):
     return table
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("weave", "ratio", "grain", "alpha", "beta"), NEAR_GRAIN)
 def test_a_row_by_itself_does_as_much_work_as_its_dead_load(weave, ratio, grain, alpha, beta):
     """Under the S of the symmetric state another one does 0.1842, this one 0.1769: the two coexist in the row."""

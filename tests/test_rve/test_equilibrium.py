@@ -60,6 +60,7 @@ def test_table_is_normal(paper_table):
     assert normality(paper_table).min() > -1e-9
 
 
+@pytest.mark.slow
 def test_free_strains_are_flagged_and_are_limits(paper_table):
     free = np.flatnonzero(~paper_table.unique)
     found = set(zip(paper_table.alpha_deg[free], paper_table.beta_deg[free], strict=True))
@@ -111,6 +112,7 @@ def same_strain(first, second, tolerance):
     np.testing.assert_allclose(first.pose.lattice, second.pose.lattice, atol=tolerance)
 
 
+@pytest.mark.slow
 def test_mirror_and_axis_symmetry():
     """E12 changes sign with alpha, and (alpha, beta) is the load (alpha + 90, 90 - beta)."""
     alpha, beta = np.array([12.0, 33.0, 45.0, 71.0]), np.array([20.0, 55.0, 0.0, 35.0])
@@ -131,6 +133,7 @@ def test_grain_along_x_is_the_mesh_turned_over():
     assert x.cell.b_x_mm == pytest.approx(y.cell.b_y_mm, abs=1e-9)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=2)
 @given(st.floats(1e-4, 1e4), st.floats(-85, 85), st.floats(2, 88))
 def test_units_do_not_matter(scale, alpha, beta):
@@ -247,6 +250,7 @@ def test_random_starts_reach_the_same_strain():
     same_strain(found, expected, 1e-9)
 
 
+@pytest.mark.slow
 def test_merging_contacts_need_both_twins(monkeypatch):
     """Near beta = 8 degrees two contacts of a pair merge. With the coarse sampling alone the iteration cycles there.
 
@@ -277,6 +281,7 @@ def test_the_tolerance_bounds_the_residual_and_decides_when_to_stop():
     assert fine.iterations.sum() > loose.iterations.sum()
 
 
+@pytest.mark.slow
 def test_a_limit_that_newton_does_not_confirm_is_no_answer(monkeypatch):
     """A load along the chain has a limit; where its equilibrium is not confirmed the row has a status and no strain. A
     table of largest work takes a state that the load leaves free from other rows: on one convex set with the limit."""

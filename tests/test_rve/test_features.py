@@ -31,6 +31,7 @@ def test_narrow_valleys_need_a_slow_fall_of_mu(ratio, alpha, beta):
     assert slow.contacts.min_gap[0] > -1e-10
 
 
+@pytest.mark.slow
 def test_nearly_uniaxial_loads_need_the_way_from_inside_the_cone():
     s, equations, options = cauchy_line_load([30.0], [1e-3]), Equations.of(FOUR_IN_ONE, 0.05), DirectOptions()
     cold = solve_equilibrium(s, equations, replace(options, attempts=1))
@@ -44,6 +45,7 @@ def test_nearly_uniaxial_loads_need_the_way_from_inside_the_cone():
     assert np.abs(10.0 * found.pose.lattice[0, 0] / 2.0 - near.x2_mm[0, 0]) < 5.0 * np.abs(np.diff(near.x2_mm[:, 0]))[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("load", "options", "without"),
     [
@@ -56,6 +58,7 @@ def test_motions_come_to_rest_by_their_feature(load, options, without):
     assert simulate(Cell(), load, replace(options, **without)).status[0] == "time-step"
 
 
+@pytest.mark.slow
 def test_loads_of_any_size_need_scaled_units():
     """Only the direction of a load counts; unscaled, its size is compared with the path parameter."""
     s = cauchy_line_load([20.0], [30.0])

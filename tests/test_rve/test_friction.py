@@ -147,6 +147,7 @@ def test_forces_within_the_cones_balance_the_load_at_rest_but_none_along_the_nor
         assert nnls(G[i, touches[i]].T, -load[i])[1] > 1e-2 * size
 
 
+@pytest.mark.slow
 def test_friction_holds_strain_back_and_with_less_of_it_less(held):
     """S:E of what a load reaches falls with friction, in proportion where there is little, to today's answer at 0."""
     free = simulate(Cell(), ([0.0], [45.0]))

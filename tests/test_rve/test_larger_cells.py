@@ -86,6 +86,7 @@ def test_rings_that_leave_the_plane_do_more_work_and_never_less(planar, beyond):
     assert beyond.row(0)["centres"] == "space"
 
 
+@pytest.mark.slow
 def test_the_weave_of_thick_wire_stays_in_the_plane_and_its_chains_share_their_load():
     cell, chain = Cell(5.0, 0.5), ([30.0], [0.0])
     larger = replace(cell, cells=(2, 2), centres="space")

@@ -24,6 +24,7 @@ def test_a_ring_covers_an_annulus_and_on_edge_a_stadium(tilt, wire, exact, rel):
     assert shadow(one_ring(3.0, tilt), wire) == pytest.approx(exact / 9.0, rel=rel)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grain", ["x", "y"])
 def test_the_solidity_of_the_reference_cell_is_that_of_random_sight_lines(grain):
     """2,000 random lines of sight, each against every ring nearby as a curve in space."""

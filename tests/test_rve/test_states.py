@@ -90,6 +90,7 @@ def test_weaves_list_all_pairs_of_rings_that_touch(name, thinner):
     assert unlisted_gap(states.pose, states.cell.weave, 1.0 / ratio).min() > 0.01
 
 
+@pytest.mark.slow
 def test_a_load_goes_on_beside_a_balance_that_gives_way():
     """Small rings of a Japanese weave that is pulled askew buckle to either side: the path from the slack pose ends
     between both, where Newton's method hardly gets on."""

@@ -147,6 +147,7 @@ def test_a_4_in_1_ring_takes_this_length_with_its_thickness(r2):
     assert found.h[0] == pytest.approx(0.5 * ((2.0 * pitch / info.b_y_mm) ** 2 - 1.0), rel=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*WEAVES, "own"])
 def test_sequential_cone_programs_from_random_starts_find_no_more_and_no_less(name):
     cell = cell_of(name)
@@ -182,6 +183,7 @@ def test_loops_are_as_long_as_rings_and_no_corner_points_inwards(name):
             assert ConvexHull(p, qhull_options="QJ").area == pytest.approx(length, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_larger_cells_mirrors_and_the_other_grain_change_nothing():
     cell, S = Cell(5.0, 0.4), loads_of(4, 2)
     sides = reference_cell(cell).sides_mm

@@ -143,6 +143,7 @@ def test_no_admissible_pose_does_more_work(ratio, weave):
     assert (found.h[:, None] - (S * WEIGHT) @ E.T).min() >= -1e-12
 
 
+@pytest.mark.slow
 def test_thin_wire_takes_the_longest_of_its_states():
     """Independent value: pulled along the grain at r1/r2 = 50 the longest of three states has h = 0.0586, b_y = 16.307.
 

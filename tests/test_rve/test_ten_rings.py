@@ -28,6 +28,7 @@ LOADS = [(20.0, 30.0, True), (45.0, 90.0, True), (0.0, 90.0, True), (20.0, 30.0,
 CASES = [pytest.param(*case, marks=pytest.mark.slow) for case in LOADS]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("alpha", "beta", "curvature"), [(0.0, 45.0, True), (10.0, 10.0, True), (10.0, 10.0, False), *CASES]
 )
