@@ -80,7 +80,9 @@ cell_options = options(
 larger_options = options(
     click.option("--cells", default="1x1", show_default=True, help="Primitive cells that move independently, as 2x2."),
     click.option(
-        "--centres", type=click.Choice(["plane", "space"]), help="Where centres may be.  [default: plane if they fit in one]"
+        "--centres",
+        type=click.Choice(["plane", "space"]),
+        help="Where centres may be.  [default: plane, where it holds them]",
     ),
 )
 coexisting = "Where several locked states coexist: that of largest work, or the first from the slack pose."
