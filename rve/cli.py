@@ -79,7 +79,11 @@ cell_options = options(
 )
 larger_options = options(
     click.option("--cells", default="1x1", show_default=True, help="Primitive cells that move independently, as 2x2."),
-    _choice("--centres", "plane", "space", text="Where the centres of rings may be."),
+    click.option(
+        "--centres",
+        type=click.Choice(["plane", "space"]),
+        help="Where centres may be.  [default: plane, where it holds them]",
+    ),
 )
 coexisting = "Where several locked states coexist: that of largest work, or the first from the slack pose."
 referred = "Cell that strains refer to under a pull along the grain: symmetric in the grain, or the longest one."
@@ -99,7 +103,7 @@ def asked_radii(weave: str, sizes: Mapping[str, Any]) -> tuple[float, float]:
     return r1, r2
 
 
-def asked_cell(grain: Any, weave: str, cells: str = "1x1", centres: Any = "plane", **ring: Any) -> Any:
+def asked_cell(grain: Any, weave: str, cells: str = "1x1", centres: Any = None, **ring: Any) -> Any:
     """The cell asked for; InputError for rings that no mesh has."""
     from rve.geometry.cell import Cell
     from rve.geometry.weave import named_weave
@@ -112,8 +116,10 @@ def asked_cell(grain: Any, weave: str, cells: str = "1x1", centres: Any = "plane
         nx, ny = (int(part) for part in cells.split("x"))
     except ValueError:
         raise InputError(f"--cells = {cells}: write two numbers, such as 2x2") from None
+    if centres == "plane" and not asked.is_flat:
+        raise InputError(f"--centres = plane: the centres of {asked.name} lie in no plane; leave the option out")
     try:
-        return Cell(r1, r2, asked, grain, metal.density_kg_per_mm3, metal, (nx, ny), centres)
+        return Cell(r1, r2, asked, grain, metal.density_kg_per_mm3, metal, (nx, ny), centres or "plane")
     except BadField as error:
         raise InputError(f"{'' if sizes['r2'] is None else '--'}{error.what}") from None
 

@@ -290,6 +290,8 @@ def _table_of(columns: Columns) -> StrainTable:
     }
     if "h_strings" in parts:
         parts["h_strings"] = parts["h_strings"][:, 0]
+        if len(wrong := np.flatnonzero(parts["h_strings"] < 0.0)):
+            columns.refuse(int(wrong[0]), "h_strings", "is below 0: no mesh of strings is shorter than its reference")
     if "compliance" in parts:
         parts["compliance"] = parts["compliance"].reshape(-1, 3, 3)
     parts |= {name: column(name) for name in _LOADS[1]}

@@ -68,7 +68,7 @@ class RowEntries(Typed):
     E: Triples
     unique: tuple[bool, ...]
     is_mirrored: bool = True
-    h_strings: tuple[Component | None, ...] | None = None
+    h_strings: tuple[Annotated[float, Meta(ge=0.0, le=1e3)] | None, ...] | None = None
 
     def check(self) -> None:
         lengths = len(self.S), len(self.E), len(self.unique)

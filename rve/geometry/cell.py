@@ -122,8 +122,8 @@ class Cell(Typed):
             return ""
         if not limit:
             return (
-                f"whether {self.weave.name} does more work under some loads where its rings leave the plane was not "
-                "tried: --cells 2x2 --centres space tells"
+                f"whether {self.weave.name} does more work under some loads where its rings leave the plane or its "
+                "cells differ was not tried: --cells 2x2 --centres space tells"
             )
         return (
             f"{self.weave.name} with r1/r2 above {limit:g} does more work under some loads where its rings leave the "

@@ -1,6 +1,7 @@
 """The command line: answers on real input, and one sentence with exit code 2 on bad input."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -62,7 +63,12 @@ def test_support_of_strings_and_a_law_that_keeps_those_of_its_rows(tmp_path):
     kept = load_law(law).rows.h_strings
     source = fit_table(table, FitOptions(cell=Cell(5.0, 0.5))).law.rows.source
     assert kept == pytest.approx(np.where(source > 0, 1.0 + 0.01 * source, np.nan), nan_ok=True)
-    law.write_text(law.read_text().replace('"h_strings": [', '"h_strings": [1.0, '))
+    table.write_text(table.read_text().replace(",1.04", ",-1.04"))
+    refused(run("fit", table, "--out", tmp_path / "none.json", "--cell", "5,0.5"), "h_strings: is below 0")
+    text = law.read_text()
+    law.write_text(re.sub(r'("h_strings": \[\D*)', r"\1-", text))
+    refused(run("strain", law, "--alpha", "20", "--beta", "30"), "h_strings[")
+    law.write_text(text.replace('"h_strings": [', '"h_strings": [1.0, '))
     refused(run("strain", law, "--alpha", "20", "--beta", "30"), "h_strings: has")
     cloth = tmp_path / "cloth.csv"
     cloth.write_text("E11,E12,E22,S11,S12,S22\n0.1,0,0,1,0,0\n0,0,0.1,0,0,1\n0.05,0,0.05,1,0,1\n0.04,0.01,0.04,1,1,1\n")

@@ -11,12 +11,13 @@ import pytest
 from click.testing import CliRunner
 
 import macro_fem
-from homogenize import FitOptions, fit_table
+from homogenize import FitOptions, fit, fit_table
 from macro_fem import read_scene
 from macro_fem.cli import main
 from macro_fem.rings import memory_GB, ring_cost, ring_scene
 from macro_fem.scene import ring_solidity
-from rve import Cell, DirectOptions, InputError, reference_cell, solidity
+from rve import Cell, DirectOptions, InputError, grid, reference_cell, solidity, solve_table
+from rve.finite import FiniteOptions
 
 B_X, B_Y = 11.0, 12.646069623526
 
@@ -344,3 +345,26 @@ def test_rings_drawn_far_together_over_a_floor_get_there_in_parts_or_from_anothe
     assert found.contacts.links_intact
     assert found.contacts.min_gap_mm > -1e-9
     assert found.wall_force[0, 1] == pytest.approx(-found.load[:, 1].sum() - found.reaction[:, 1].sum(), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("weave", "ratio", "columns", "rows", "residual"),
+    [
+        pytest.param("4-in-1", 10, 8, 7, 1e-8, marks=pytest.mark.slow),
+        pytest.param("6-in-1", 10, 9, 5, 1e-8, marks=pytest.mark.slow),
+        pytest.param("8-in-1", 12, 11, 4, 1e-8, marks=pytest.mark.slow),
+        pytest.param("japanese-4-in-1", 10, 6, 6, 1e-3, marks=pytest.mark.release),  # does not converge
+    ],
+)
+def test_a_hundred_rings_of_a_weave_come_to_the_disk(weave, ratio, columns, rows, residual):
+    """Weight, and mean height within 3.9 % of the sheet's, as from 8 cells across on."""
+    cell = Cell(5.0, 5.0 / ratio, weave)
+    law = fit(solve_table(cell, grid(15.0, cell.weave), DirectOptions(branches="first"))).law
+    hung = scene(columns, rows, law.cell.sides_mm, support={"kind": "corners", "gather": 0.9}, mesh={"cells": 16})
+    disk, options = macro_fem.solve(hung, law).summary, FiniteOptions(max_iterations=300, starts=1)
+    rings = ring_scene(hung, law).solve(space=True, options=options)
+    assert rings.kkt_residual < residual
+    assert len(rings.mesh.X) > 100
+    assert abs(rings.mean_height - disk["mean_height_mm"]) < 0.039 * rows * law.cell.b_y_mm
+    weight = disk["support_forces"][0]["force_N"][1]
+    assert rings.reaction[:, 1].sum() == pytest.approx(weight, rel=10.0 * residual)

@@ -25,7 +25,7 @@ from rve.finite.contacts import (
 )
 from rve.finite.newton import METRIC, NewtonSystem, blocks, forces_that_stop, gradients, negative_part, rows_of, spread
 from rve.finite.problem import Iterate, ScaledProblem
-from rve.geometry import tangent_frame
+from rve.geometry import local_minima, tangent_frame
 from rve.placed.drawn import ALONG
 
 G = 9.81
@@ -84,6 +84,19 @@ def test_the_slack_start_has_gaps_and_the_links_of_the_weave():
     assert con.deepest.min() > 0.25
     assert links_intact(con, mesh.linked[:, 0] * len(mesh.X) + mesh.linked[:, 1])
     assert not links_intact(con, mesh.linked[1:, 0] * len(mesh.X) + mesh.linked[1:, 1])
+
+
+@pytest.mark.parametrize("small", [1.0, 0.5])
+def test_a_taut_pair_turns_freely_until_its_contact_splits(small):
+    """About the line of the pull, as far as cos^2 = (1 - D)(1 - D / r): nothing turns a joining ring back before."""
+    apart = 0.2
+    limit = np.arccos(np.sqrt((1.0 - apart) * (1.0 - apart / small)))
+    for angle, count in ((0.5 * np.pi, 1), (limit + 0.01, 1), (limit - 0.01, 2)):
+        d, a = np.array([[1.0 - apart + small, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]])
+        b = np.array([[0.0, -np.sin(angle), np.cos(angle)]])
+        minima = local_minima(d, a, b, (np.ones(1), np.full(1, small)), reach=np.full(1, 1.02 * apart))
+        assert len(minima.distance) == count
+        assert (minima.distance == pytest.approx(apart, abs=1e-12)) == (count == 1)
 
 
 def disturbed(seed, size=0.05, weave="4-in-1"):

@@ -15,6 +15,7 @@ from tests.commands import run
 QUICK = DirectOptions(branches="first")
 LOADS = [0.0, 20.0, -35.0, 45.0], [90.0, 45.0, 60.0, 20.0]
 JAPANESE = WEAVES["japanese-4-in-1"]
+KINDS, CODES = ("3mf", "glb", "stl"), (0, 1, 2)
 
 
 def written(weave, *, turn=17.0, shift=(3.0, -2.0, 0.0), size=1.7, disturb=0.05, cells=(1, 1), seed=0):
@@ -245,39 +246,71 @@ def test_a_name_of_the_catalogue_is_taken(tmp_path):
         Cell(weave="5-in-1")
 
 
+AS_DRAWN = "turned", "shifted", "renumbered", "scaled"
+FLAWS = "links", "net", "overlap", "one", "nan", "thousand", "negative", "empty", "truncated", "lattice", "bytes"
+
+
+def flawed(flaw, lattice, rings, rng):
+    """The bytes of a weave file with a flaw drawn at random."""
+    ring = rings[int(rng.integers(len(rings)))]
+    match flaw:
+        case "links":
+            ring["normal"] = rng.normal(size=3)
+        case "net":
+            rings += [one | {"centre": one["centre"] + [0.0, 0.0, rng.uniform(2.0, 9.0)]} for one in rings]
+        case "overlap":
+            rings.append(ring | {"centre": ring["centre"] + rng.normal(scale=0.01, size=3)})
+        case "one":
+            rings = [ring]
+        case "nan":
+            ring[str(rng.choice(["r1", "r2"]))] = float(rng.choice([np.nan, np.inf]))
+        case "thousand":
+            rings = rings * 500
+        case "negative":
+            ring[str(rng.choice(["r1", "r2"]))] *= -1.0
+        case "lattice":
+            lattice = lattice * rng.uniform(0.3, 2.5, (2, 1))
+    text = as_text(lattice, rings).encode()
+    cut = int(rng.integers(len(text)))
+    return {"empty": b"", "truncated": text[:cut], "bytes": text[:cut] + rng.bytes(9)}.get(flaw, text)
+
+
 @pytest.mark.slow
-def test_thirty_files_at_random_end_right_or_in_a_sentence():
-    """Links, sizes, places and numbers drawn at random."""
-    rng, right, sentences = np.random.default_rng(0), 0, []
-    for _ in range(30):
-        lattice, rings = written(
-            WEAVES[str(rng.choice(["4-in-1", "6-in-1"]))], disturb=0.02, seed=int(rng.integers(99))
+@pytest.mark.parametrize("seed", range(30))
+def test_thirty_files_at_random_end_right_or_in_a_sentence(seed, tmp_path, monkeypatch):
+    """Of each command: code 0, or one sentence with code 1 or 2 and nothing written. Each flaw occurs twice."""
+    rng, name = np.random.default_rng(seed), ["4-in-1", "6-in-1", "8-in-1", "japanese-4-in-1"][seed % 4]
+    change, of = [*AS_DRAWN, *FLAWS][seed // 2], WEAVES[name]
+    turn, shift, size = 17.0 * (change == "turned"), 9.0 * (change == "shifted"), 1.0 + (change == "scaled")
+    lattice, rings = written(of, turn=turn, shift=(shift, -shift, 0.0), size=size, disturb=0.01, seed=seed)
+    if change not in ("renumbered", *FLAWS):
+        rings.sort(key=lambda ring: -ring["r1"])
+    path, out = tmp_path / "mine.toml", tmp_path / "out"
+    path.write_bytes(flawed(change, lattice, rings, rng))
+    out.mkdir()
+    monkeypatch.chdir(out)
+    load = "--alpha", "20", "--beta", "45"
+    commands = [("weaves",), ("ring",), *(("export", "--size", "60x60", "--out", f"a.{kind}") for kind in KINDS)]
+    commands += [("simulate", *load, "--out", "a.csv"), ("simulate", *load, "--friction", "0.1", "--out", "b.csv")]
+    (tmp_path / "history.csv").write_text("time_s,alpha_deg,beta_deg,size\n0,0,90,1\n9,0,45,1\n")
+    commands.append(("simulate", "--history", tmp_path / "history.csv", "--out", "c.csv"))
+    for command in commands:
+        before = {one.name for one in out.iterdir()}
+        done = run(
+            "rve", *command, "--weave", path, *(("--set", "max_steps=20") * (command[0] == "simulate")), codes=CODES
         )
-        ring = rings[int(rng.integers(len(rings)))]
-        match rng.integers(7):
-            case 0:
-                ring["centre"] = ring["centre"] + rng.normal(scale=4.0, size=3)
-            case 1:
-                ring["normal"] = rng.normal(size=3)
-            case 2:
-                ring["r1"], ring["r2"] = rng.uniform(1.0, 9.0), rng.uniform(0.1, 3.0)
-            case 3:
-                lattice = lattice * rng.uniform(0.3, 2.5, (2, 1))
-            case 4:
-                ring[str(rng.choice(["r1", "r2"]))] = float(rng.choice([np.nan, np.inf, 0.0, -1.0]))
-            case 5:
-                rings = rings * int(rng.choice([0, 30]))
-        try:
-            weave = Weave.from_rings(lattice, rings)
-        except InputError as error:
-            sentences.append(str(error))
+        written_now = {one.name for one in out.iterdir()} - before
+        if done.exit_code == 2:
+            assert not written_now
+            assert done.stderr.startswith("Error: ")
+            assert done.stderr.count("\n") == 1
         else:
-            right += 1
-            assert weave.jamming_ratio > 1.0
-            assert weave.linked.any()
-    assert len(sentences) + right == 30
-    assert right > 2
-    assert all(len(one) > 20 and "\n" not in one for one in sentences)
+            assert done.exit_code == 0 or "step-limit" in done.stderr
+            assert change not in ("empty", "nan", "negative", "thousand", "one")
+        if change in AS_DRAWN:
+            assert done.exit_code != 2, done.stderr
+    if change in AS_DRAWN:
+        assert read_weave(path).jamming_ratio == pytest.approx(of.jamming_ratio, rel=1e-6)
 
 
 def test_table_strength_and_stiffness_do_not_depend_on_which_ring_is_the_first():
