@@ -73,7 +73,9 @@ def limit_line(summary: CurtainNumbers) -> str | None:
     if summary.rupture_factor and summary.way_at_rupture_mm and summary.energy_until_rupture_N_mm:
         factors, ways = (" to ".join(map(digits, one)) for one in (summary.rupture_factor, summary.way_at_rupture_mm))
         energies = " to ".join(digits(1e-3 * one) for one in summary.energy_until_rupture_N_mm)
-        told.append(f"strings break at {factors} times the live loads, {ways} mm along them and {energies} J later")
+        told.append(
+            f"strings break at {factors} times the live loads, {ways} mm along them, with {energies} J taken up"
+        )
     return "; ".join([*told, *filter(None, [summary.limit_note])])
 
 
