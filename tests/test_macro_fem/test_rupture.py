@@ -122,7 +122,7 @@ def test_the_command_says_where_strings_break(tmp_path):
     done = run("macro_fem", "run", scene, "--out", tmp_path / "out", "--no-picture")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     low, high = (digits(1e-3 * one) for one in summary["energy_until_rupture_N_mm"])
-    assert f"taking up {low} to {high} J" in done.output
+    assert f"with {low} to {high} J taken up" in done.output
     assert "strings break at" in done.output
 
 
