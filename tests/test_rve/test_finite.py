@@ -428,7 +428,8 @@ def test_an_impossible_tolerance_stalls_in_bounded_work_at_an_answer_that_is_goo
 def small_problem():
     """A mesh of five rings in the plane, as posed and without units, and its start."""
     mesh = FiniteMesh.rectangle(Cell(), 1, 1)
-    problem = Problem(mesh, *hung(mesh, top_of(mesh)), False, (), np.full((5, 3), np.nan))
+    force, held, at = hung(mesh, top_of(mesh))
+    problem = Problem(mesh, force, held, at, is_space=False, guide=np.full((5, 3), np.nan))
     return problem, problem.scaled(), problem.start(FiniteOptions())
 
 
