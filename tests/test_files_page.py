@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 FREE = {"versions", "files", "options", "sentences", "cells_by_status", "meanings", "table_provenance", "units"}
 FREE |= {"factors", "drawn_gap_mm_quantiles_0_5_25_50", "several_states"}
 """Entries whose own keys are names of packages, files, options, statuses and rows."""
-FOLDERS = {"demand", "space", "body", "limit", "every", "curtains", "compared", "tables", "found", "sized"}
+FOLDERS = {"demand", "space", "body", "limit", "net", "every", "curtains", "compared", "tables", "found", "sized"}
 ELSEWHERE = {"not_finite", "drawing", "is_mirrored", "plugin"}
 ELSEWHERE |= {"smallest_factor", "at_s", "peak_support_force_N", "peak_support_force_at_s", "reached_s"}
 """Of rows without numbers, of weaves from text, of plugins and of motions in sweeps, which have tests of their own."""
@@ -40,6 +40,13 @@ mesh = {cells = 4}
 support = {kind = "top"}
 obstacle = [{kind = "sphere", centre = [60.0, 30.0, -30.0], radius = 25.0, move = [0.0, 0.0, 15.0]}]
 """
+NET = """
+curtain = {width = 120.0, height = 120.0}
+mesh = {cells = 2}
+support = [{kind = "edge", edge = "left"}, {kind = "edge", edge = "right"}]
+load = {steps = 2, gravity = [0.0, 0.0, -9.81], patch = [{at = [60, 60], radius = 30, force = [0, 0, -200]}]}
+solver = {kind = "plastic", strings = true}
+"""
 
 
 def placed(word, folder):
@@ -53,7 +60,14 @@ def out(tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
     barred = PLANE + "[load.bar]\nmass = 0.1\n"
     hung = PLANE.replace('{kind = "top"}', '{kind = "hooks", count = 3}')
-    for name, text in {"plane": PLANE, "barred": barred, "hung": hung, "space": SPACE, "body": BODY}.items():
+    for name, text in {
+        "plane": PLANE,
+        "barred": barred,
+        "hung": hung,
+        "space": SPACE,
+        "body": BODY,
+        "net": NET,
+    }.items():
         (folder / f"{name}.toml").write_text(text)
     (folder / "loads.csv").write_text("alpha_deg,beta_deg\n0,90\n20,30\n45,45\n0,0\n0,45\n45,90\n20,80\n")
     for command in (
@@ -63,6 +77,7 @@ def out(tmp_path_factory):
         "macro_fem run space.toml --out space --no-picture",
         "macro_fem run body.toml --out body --no-picture",
         "macro_fem run hung.toml --limit --out limit --no-picture",
+        "macro_fem run net.toml --out net --no-picture",
         "macro_fem rings plane.toml --out every --no-picture",
         "macro_fem compare plane.toml --out compare.json",
         "macro_fem size barred.toml --vary mass --from 0.1 --to 0.2 --factor 1e-6 --out sized --no-picture",
@@ -127,7 +142,7 @@ def of_file(path, into=()):
             ["## A curtain: summary.json"],
             [
                 f"{run}/{name}"
-                for run in ("demand", "space", "body", "limit")
+                for run in ("demand", "space", "body", "limit", "net")
                 for name in ("summary.json", "support_forces.csv")
             ],
         ),
