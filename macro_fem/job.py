@@ -175,7 +175,7 @@ def _solve_plastic(scene: Scene, law: MembraneLaw) -> MembraneSolution:
     rupture: Rupture | str | None = None
     if scene.solver.strings:
         try:
-            rupture = find_rupture(steps[-1]) or "it takes live loads, and a [material] with ultimate_N_per_mm2"
+            rupture = find_rupture(steps[-1]) or "it takes live loads, and a [material] with ultimate"
         except (InputError, NotConverged) as error:
             rupture = str(error)
     return MembraneSolution(scene, tuple(steps), limits=limits, rigid=rigid, rupture=rupture)
