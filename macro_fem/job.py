@@ -157,7 +157,7 @@ def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -
 def _solve_plastic(scene: Scene, law: MembraneLaw) -> MembraneSolution:
     """The curtain whose rings flow, its limit, and the curtain whose rings do not; that one alone where the loads are
     beyond the limit of rings that never become strings."""
-    still = replace(scene, solver=replace(scene.solver, kind="auto", bounds=False, adapt=0))
+    still = replace(scene, solver=replace(scene.solver, kind="auto", bounds=False, adapt=0, strings=False))
     pose, mesh, rigid = (
         admissible_problem if scene.solver.is_bounded else make_problem,
         build_mesh(scene, law.cell),
@@ -175,8 +175,8 @@ def _solve_plastic(scene: Scene, law: MembraneLaw) -> MembraneSolution:
     rupture: Rupture | str | None = None
     if scene.solver.strings:
         try:
-            rupture = find_rupture(steps[-1])
-        except NotConverged as error:
+            rupture = find_rupture(steps[-1]) or "it takes live loads, and a [material] with ultimate"
+        except (InputError, NotConverged) as error:
             rupture = str(error)
     return MembraneSolution(scene, tuple(steps), limits=limits, rigid=rigid, rupture=rupture)
 

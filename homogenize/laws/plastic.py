@@ -148,6 +148,8 @@ def _strings(law: PolyhedralLaw) -> Strings:
         why = "butted rings open before" if known.joint != "welded" else "the law does not tell its weave"
         raise InputError(f"strings: {why}; fit a law of welded rings with its cell")
     found = string_states(info.cell(), known.S, info.sides_mm, STARTS)
+    if (found.h < law.support(known.S) - 1e-3).any():
+        raise InputError("strings: are shorter than rings that lock, so the law is not that of its cell; fit it again")
     S, h = (np.vstack([known.S, mirror(known.S)]), np.tile(found.h, 2)) if known.is_mirrored else (known.S, found.h)
     first = each_once(disc(S))
     return Strings(S[first], h[first], replace(known, collapse=found.stress, error=None))

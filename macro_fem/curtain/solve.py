@@ -69,8 +69,9 @@ def solve_convex(problem: CurtainProblem, start: CurtainSolution | None = None) 
     begin = time.perf_counter()
     if start is not None and is_alike(problem.fem, start.problem.fem):
         problem = replace(problem, fem=start.problem.fem.moved(problem.fem.x_held))
-    reach, relaxation = FREE if problem.scene.solver.is_plastic else supports_reach(problem, start), None
-    if problem.scene.solver.is_elastic and reach.is_out:
+    spec, relaxation = problem.scene.solver, None
+    reach = FREE if spec.is_plastic and not spec.strings else supports_reach(problem, start)
+    if spec.is_elastic and reach.is_out:
         # More than the loads stretch its rings would be the elasticity of rings beyond what the law was made for.
         line_load = float(np.abs(problem.force).sum()) * problem.mesh.size / float(problem.disc.weight.sum())
         if reach.excess < line_load * float(np.trace(problem.law.compliance)) / 3.0:
@@ -80,7 +81,7 @@ def solve_convex(problem: CurtainProblem, start: CurtainSolution | None = None) 
     elif problem.walls.stuck(problem.fem) > TOUCHED * problem.mesh.size:
         result = _unsolved(problem, "blocked")
     else:
-        if problem.scene.solver.is_plastic:  # of ten paths that began at rings which flow one did not end
+        if spec.is_plastic:  # of ten paths that began at rings which flow one did not end
             start = None
         cones, x = problem.cones, gathered_start(problem) if start is None else slackened(start, SOLVE.inward)
         if cones is None and start is not None and start.problem.disc.n_points == problem.disc.n_points:
@@ -121,7 +122,8 @@ def supports_reach(problem: CurtainProblem, start: CurtainSolution | None = None
         before = start.problem.fem
         if is_alike(fem, before) and np.array_equal(fem.x_held, before.x_held):
             return start.reach
-    return reach_of(fem, problem.law, fem.unknowns(gathered_start(problem)), problem.mesh.size)
+    law = problem.plastic_law.drawn() if problem.scene.solver.strings else problem.law
+    return reach_of(fem, law, fem.unknowns(gathered_start(problem)), problem.mesh.size)
 
 
 def _solve_within_reach(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homogenize import MembraneLaw, elastic_law
-from homogenize.laws import Cut, HalfSpaces, PlasticLaw, Response, check_law, plastic_law
+from homogenize.laws import Cut, HalfSpaces, PlasticLaw, Response, check_law, plastic_law, polyhedral_law
 from rve.common import Array
 from rve.common.tensor import dyad
 
@@ -67,6 +67,12 @@ class HungLaw:
         stretched without end."""
         assert isinstance(self.own, PlasticLaw)
         return replace(self, own=self.own.without_strings(is_limit=is_limit))
+
+    def drawn(self) -> HungLaw:
+        """The law of rings that are strings already, of a law of rings that flow until they are."""
+        assert isinstance(self.own, PlasticLaw)
+        assert self.own.strings is not None
+        return replace(self, own=polyhedral_law(self.own.strings.S, self.own.strings.h))
 
 
 def rotation_on_triples(angle_deg: float) -> Array:

@@ -7,17 +7,17 @@ the live loads, way, and energy, are intervals too (`rve.wire.rupture_stress`).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 from scipy.optimize import brentq
 
 from homogenize.laws import PlasticLaw
-from macro_fem.curtain import CurtainSolution, make_problem, solve_problem
+from macro_fem.curtain import CurtainProblem, CurtainSolution, solve_problem
 from macro_fem.scene.loads import nodal_forces
 from macro_fem.solvers.status import Status
-from rve.common import NotConverged, part_of
+from rve.common import Array, NotConverged, part_of
 from rve.wire import rupture_stress
 
 MOST_DOUBLED = 20
@@ -54,35 +54,40 @@ def plastic_work(solution: CurtainSolution) -> float | None:
 
 def live_way(solution: CurtainSolution) -> float | None:
     """The mean way in mm of the loaded points along the live loads, from where they are drawn; None without any."""
-    one = solution.problem
-    full, none = (nodal_forces(one.scene, one.mesh, one.disc, one.law.cell, factor) for factor in (1.0, 0.0))
-    live = full - none
+    live = _live_loads(solution.problem)
     size = float(np.linalg.norm(live, axis=1).sum())
     return float((live * solution.displacement).sum() / size) if size else None
 
 
+def _live_loads(problem: CurtainProblem) -> Array:
+    """The live loads (n_nodes, d) in N, whole."""
+    scene, disc, cell = problem.scene, problem.exact, problem.law.cell
+    return nodal_forces(scene, problem.mesh, disc, cell) - nodal_forces(scene, problem.mesh, disc, cell, 0.0)
+
+
 def find_rupture(solution: CurtainSolution) -> Rupture | None:
-    """Where strings break under the live loads of a solved curtain; None without live loads, strings or an ultimate
-    stress. NotConverged where a curtain on the way is not solved, or no load breaks strings.
+    """Where strings break under the live loads of a solved curtain, moves as they are; None without live loads, strings
+    or an ultimate stress. NotConverged where a curtain on the way is not solved, or no load breaks strings.
     """
     problem = solution.problem
     assert isinstance(problem.plastic_law.own, PlasticLaw)
     strings = problem.plastic_law.own.strings
     band = None if strings is None else rupture_stress(strings.wire.material)
-    if band is None or live_way(solution) is None:
+    live = _live_loads(problem)
+    if band is None or not live.any():
         return None
 
     @cache
     def at(log: float) -> list[float]:
         factor = float(np.exp(log))
         with part_of(f"{problem.disc.n_cells} cells, {factor:.3g} times the live loads"):
-            found = solve_problem(make_problem(problem.scene, problem.law.own, problem.mesh, factor))
+            found = solve_problem(replace(problem, dead=problem.dead + (factor - problem.factor) * live), solution)
         if found.status != Status.CONVERGED:
             raise NotConverged(f"the curtain under {factor:.3g} times the live loads ends as {found.status}")
         return [factor, live_way(found) or 0.0, plastic_work(found) or 0.0, string_stress(found) or 0.0]
 
     ends = [at(_crossing(lambda log, limit=limit: at(log)[3] / limit - 1.0)) for limit in band]  # type: ignore[misc]
-    return Rupture(list(band), *([low, high] for low, high in zip(*(end[:3] for end in ends), strict=True)))
+    return Rupture(list(band), *(sorted(pair) for pair in zip(*(end[:3] for end in ends), strict=True)))
 
 
 def _crossing(excess: Callable[[float], float]) -> float:

@@ -116,8 +116,8 @@ def largest_step(v: Vectors, dv: Vectors) -> float:
     a = dv.head**2 - row_dot(dv.tail, dv.tail)
     b = v.head * dv.head - row_dot(v.tail, dv.tail)
     c = v.determinant()
-    root = b * b - a * c
-    leaves = (root >= 0.0) & ((a < 0.0) | (b < 0.0))
+    root = np.maximum(b * b - a * c, 0.0)  # never negative for v inside; 0 and its rounding where dv is along v
+    leaves = (a < 0.0) | (b < 0.0)
     if not leaves.any():
         return np.inf
     # the least positive root of c + 2 b t + a t^2, in the form that does not cancel for b < 0

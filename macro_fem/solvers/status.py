@@ -192,7 +192,7 @@ RESTLESS = (
 )
 INFEASIBLE = (
     "the supports are farther apart than the mesh can stretch: its rings would have to give at least {excess:.3g} % "
-    "beyond locking; move the supports together or use {remedy}"
+    "more; move the supports together or use {remedy}"
 )
 BLOCKED = (
     "the curtain cannot clear its obstacles: no state that hangs from its supports is in their half-spaces, of which "

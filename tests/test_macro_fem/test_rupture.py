@@ -9,12 +9,14 @@ import pytest
 from homogenize import default_law
 from homogenize.laws import plastic_law
 from macro_fem import read_scene, solve
+from macro_fem.bounds import curtain_limit
 from macro_fem.judged import find_rupture, string_stress
 from rve import InputError
 from rve.common import digits
 from rve.common.tensor import double_dot
 from rve.locking import string_states
 from tests.commands import run
+from tests.test_macro_fem.sheets import posed
 from tests.test_macro_fem.test_plastic import ALONG, capacity, pulled
 
 LAW = default_law()
@@ -87,6 +89,43 @@ def test_a_net_breaks_at_the_band_of_its_strings():
     assert broken.plastic_work_N_mm == pytest.approx(summary.energy_until_rupture_N_mm[0], rel=0.01)
 
 
+def test_the_limit_of_a_net_of_one_cell_that_is_pushed_across_is_found():
+    """Its dual vectors begin without tails, and a step that left their cones was taken for one that never does."""
+    limit = curtain_limit(posed(net(3500.0, 1)))
+    assert limit.status == "converged"
+    assert 1.0 < limit.lower <= limit.factor <= limit.upper < 4.0
+
+
+def drawn_apart(move, force=3.0, **solver):
+    """Tables of a net of 200 mm whose sides are drawn apart by `move` mm, pulled down along its lower edge in N/mm."""
+    return {
+        "curtain": {"width": 200.0, "height": 200.0},
+        "mesh": {"cells": 2},
+        "support": [{"kind": "edge", "edge": "left"}, {"kind": "edge", "edge": "right", "move": [move, 0.0]}],
+        "load": {"gravity": 0.0, "edge": [{"edge": "bottom", "force": [0.0, -force]}]},
+        "solver": STRINGS | solver,
+    }
+
+
+@pytest.mark.parametrize("solver", [{}, pytest.param({"bounds": True}, marks=pytest.mark.slow)])
+def test_factors_are_those_of_the_loads_alone_on_the_mesh_and_with_the_moves_of_the_answer(solver):
+    summary = solve(read_scene(drawn_apart(80.0, **solver)), LAW).summary
+    broken = solve(read_scene(drawn_apart(80.0, 3.0 * summary.rupture_factor[1], **solver)), LAW).summary
+    assert broken.strings_stress_N_per_mm2 == pytest.approx(summary.rupture_stress_N_per_mm2[1], rel=5e-3)
+    assert broken.plastic_work_N_mm == pytest.approx(summary.energy_until_rupture_N_mm[1], rel=1e-5)
+    last = broken.rupture_factor[1]
+    assert last == pytest.approx(1.0, rel=5e-3)
+
+
+def test_supports_may_be_as_far_apart_as_strings_reach():
+    longest = np.sqrt(1.0 + 2.0 * string_states(LAW.cell.cell(), np.eye(3)[:1], LAW.cell.sides_mm).h[0])
+    tables = drawn_apart(0.0) | {"support": {"kind": "corners", "gather": 0.97 * longest}}
+    assert solve(read_scene(tables), LAW).status == "converged"
+    tables["support"]["gather"] = 1.02 * longest
+    with pytest.raises(InputError, match=r"the supports are farther apart than the mesh can stretch: .* 2 % more"):
+        solve(read_scene(tables), LAW)
+
+
 @pytest.mark.slow
 def test_the_energy_under_a_push_grows_with_the_mesh_to_a_limit():
     """On 38 to 480 triangles, of which the finest stalled where forces were balanced long after the gap closed."""
@@ -105,6 +144,8 @@ def test_strings_that_are_none_are_refused_or_said():
         plastic_law(butted, strings=True)
     with pytest.raises(InputError, match="does not tell its weave"):
         plastic_law(replace(law, cell=replace(law.cell, weave=None)), strings=True)
+    with pytest.raises(InputError, match="the law is not that of its cell"):
+        plastic_law(replace(law, cell=replace(law.cell, b_x_mm=40.0)), strings=True)
     with pytest.raises(InputError, match=r"strings: has no effect without kind = 'plastic'"):
         solve(read_scene(net(1000.0, kind="rigid")), law)
 
@@ -133,3 +174,4 @@ def test_without_live_loads_nothing_breaks():
     found = solve(read_scene(tables), LAW)
     assert find_rupture(found.solution) is None
     assert found.summary.rupture_factor is None
+    assert "it takes live loads, and a [material] with ultimate" in found.summary.limit_note

@@ -41,6 +41,13 @@ def test_division_and_inverse_solve_the_product():
     assert np.abs(unit.tail).max() < 1e-9
 
 
+def test_largest_step_along_the_vector_itself_ends_at_the_tip_of_the_cone():
+    """Where rounding makes the discriminant, 0 there, negative: heads of a limit that stalled at its first step."""
+    heads = np.random.default_rng(1).uniform(0.1, 10.0, (2, 500))
+    steps = [soc.largest_step(*(soc.Vectors(np.array([x]), np.zeros((1, 4))) for x in (v, -d))) for v, d in heads.T]
+    assert steps == pytest.approx(heads[0] / heads[1], rel=1e-6)
+
+
 @given(st.integers(0, 10_000))
 @settings(deadline=None, max_examples=60)
 def test_largest_step_ends_on_the_boundary(seed):
