@@ -4,6 +4,7 @@ A peer that is not installed is left out, and the page says so.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -17,10 +18,10 @@ from benchmarks.cone_form import ConeForm, by_clarabel, by_qoco, gradient_matrix
 from benchmarks.every_ring import engine, let_go
 from benchmarks.frame import Section, table
 from benchmarks.measure import Row, decade
-from benchmarks.problems import loads, square
+from benchmarks.problems import square
 from benchmarks.work_precision import rve
 from homogenize import default_law
-from macro_fem import read_scene
+from macro_fem import Motion, read_scene
 from macro_fem.curtain import gathered_start, make_problem, solve_problem, stabilising_tension
 from macro_fem.motion.rings import MovingRings
 from macro_fem.scene.meshing.mesh import build_mesh
@@ -33,18 +34,12 @@ GAP = 1e-9
 """Relative gap and residuals that all solvers of cone programs are asked for."""
 CELLS = 16, 32
 """Cells along a corner-hung square metre; the full report has 50 as well."""
-RINGS = 1
-"""Size of the sheet of rings; the full report has 2 as well."""
-STEP = 15.0
-"""Degrees between the loads of the scheme: with the paper's 5 it takes minutes."""
 MU, TOLERANCE = 1e-11, 1e-14
 """Complementarity of our direct solver; tolerance of SLSQP."""
-
-
 PEERS = {
     "clarabel": (
         "clarabel",
-        "other cones (exponential, power, semidefinite), a quadratic objective; no start inside is needed",
+        "cones of other kinds (exponential, power, semidefinite), any quadratic objective",
         "half-spaces of the law are found on the way; the answer lies inside the whole law",
     ),
     "qoco": (
@@ -136,21 +131,18 @@ def titled(package: str) -> str:
 
 
 def locked_cells() -> list[Row]:
-    """Locked strains at r1/r2 = 10: loads by the scheme of the paper, six of them by SLSQP."""
-    all_loads, six = rve.problem(zip(*loads(STEP), strict=True)), rve.problem()
-    cases: list[tuple[str, rve.Problem, Callable[[], rve.Answer]]] = [
-        ("", all_loads, partial(rve.scheme, all_loads, rve.PUBLISHED)),
-        *(("scipy", six, partial(rve.generic, six, TOLERANCE, start)) for start in ("near", "slack")),
-    ]
-    rows = []
-    for (package, given, call), start in zip(cases, ("", ", SLSQP near the answer", ", SLSQP slack"), strict=True):
-        done = in_turn({"ours": partial(rve.direct, given, MU), "theirs": call})
-        judged = [right(given, done[name].found) for name in ("ours", "theirs")]
+    """Locked strains at r1/r2 = 10: six loads by the scheme of the paper and by SLSQP."""
+    six, rows = rve.problem(), []
+    cases: dict[tuple[str, str], Callable[[], rve.Answer]] = {("", ""): partial(rve.scheme, six, rve.PUBLISHED)}
+    cases |= {("scipy", f", {start} start"): partial(rve.generic, six, TOLERANCE, start) for start in ("near", "slack")}
+    for (package, start), call in cases.items():
+        done = in_turn({"ours": partial(rve.direct, six, MU), "theirs": call})
+        judged = [right(six, done[name].found) for name in ("ours", "theirs")]
         told = [f"{good.sum()} of {len(good)} loads, {decade(error)} off" for good, error in judged]
-        both = judged[0][0] & judged[1][0] & given.unique
+        both = judged[0][0] & judged[1][0] & six.unique
         away = np.abs(done["ours"].found.E - done["theirs"].found.E)[both].max()
-        seconds = [done[name].seconds for name in ("ours", "theirs")]
-        of = f"strains of a cell under {len(given.s)} loads{start}"
+        seconds = done["ours"].seconds, done["theirs"].seconds
+        of = f"strains of a cell under {len(six.s)} loads{start}"
         rows.append(row(of, titled(package), *seconds, (*told, f"{decade(away)} of strain where both end")))
     return rows
 
@@ -162,25 +154,24 @@ def right(given: rve.Problem, answer: rve.Answer) -> tuple[np.ndarray, float]:
     return good, float(error[good].max())
 
 
-def rings_in_motion(k: int) -> list[Row]:
+def rings_in_motion(k: int, steps: tuple[float, ...]) -> list[Row]:
     """Every ring of a sheet of which a corner is let go."""
     scene = let_go.motion_scene(let_go.SCENES[0], k)
-    run = MovingRings(scene).solve()
-    done = in_turn(
-        {"ours": MovingRings(scene).solve}
-        | {f"{dt:g}": partial(engine.fall, run, let_go.DURATION, dt) for dt in engine.STEPS}
-    )
-    mine, rows = np.array([frame.row for frame in run.frames])[:, let_go.MEAN], []
-    height = let_go.SHEETS[0].sides(k)[1]
-    for dt in engine.STEPS:
+    begun = MovingRings(replace(scene, motion=Motion(let_go.STEP, let_go.STEP))).solve()
+    programs: dict[str, Callable[[], Any]] = {"ours": MovingRings(scene).solve}
+    done = in_turn(programs | {f"{dt:g}": partial(engine.fall, begun, let_go.DURATION, dt) for dt in steps})
+    mine = np.array([frame.row for frame in done["ours"].found.frames])[:, let_go.MEAN]
+    height, rows = let_go.SHEETS[0].sides(k)[1], []
+    for dt in steps:
         fallen = done[f"{dt:g}"].found
-        away = np.linalg.norm(fallen.mean - mine - (fallen.mean - mine)[0], axis=1).max()
+        apart = fallen.mean - mine
+        away = np.linalg.norm(apart - apart[0], axis=1).max()
         told = (
             f"mean place falls {mine[0, 1] - mine[-1, 1]:.2f} mm",
             f"{fallen.mean[0, 1] - fallen.mean[-1, 1]:.2f} mm, least gap {fallen.least_gap:+.4f} r1",
             f"{away / height:.2%} of the height at most",
         )
-        of = f"{len(run.frames[0].rings.centre)} rings, a corner let go, {let_go.DURATION:g} s; step {dt:g} of theirs"
+        of = f"{len(begun.frames[0].rings.centre)} rings, a corner let go, {let_go.DURATION:g} s; step {dt:g} of theirs"
         rows.append(row(of, titled("mujoco"), done["ours"].seconds, done[f"{dt:g}"].seconds, told))
     return rows
 
@@ -189,9 +180,9 @@ def measure(full: bool) -> Section:
     """The section; `full` has larger curtains and sheets."""
     rows = [one for cells in (*CELLS, *(50,) * full) for one in cone_programs(cells)] + locked_cells()
     if is_here("mujoco"):
-        rows += [one for k in (RINGS, *(2,) * full) for one in rings_in_motion(k)]
-    missing = [f"{PEERS[name][0]} (`pip install {name}`)" for name in PEERS if not is_here(name)]
-    left_out = f"Left out, as they are not installed: {', '.join(missing)}. " * bool(missing) + LEFT_OUT
+        rows += rings_in_motion(let_go.BESIDE if full else 1, engine.STEPS[: 1 + full])
+    missing = ", ".join(f"{PEERS[name][0]} (`pip install {name}`)" for name in PEERS if not is_here(name))
+    left_out = f"Left out, as not installed: {missing}. " * bool(missing) + LEFT_OUT
     ratios = [one["theirs over ours"] for one in rows]
     slow, quick = (rows[ratios.index(pick(ratios))] for pick in (max, min))
     ends = [f"{one['theirs over ours']:.2f} ({one['peer']}, {one['of']})" for one in (quick, slow)]
