@@ -28,10 +28,8 @@ from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.solvers import PathOptions, Terms, load_scale
 from macro_fem.solvers.central_path import solve_path
 
-TIMES = 3
-"""Runs of each program, in turn; times are medians."""
-GAP = 1e-9
-"""Relative gap and residuals that all solvers of cone programs are asked for."""
+TIMES, GAP = 3, 1e-9
+"""Runs of each program, in turn; relative gap and residuals that all solvers of cone programs are asked for."""
 CELLS = 16, 32
 """Cells along a corner-hung square metre; the full report has 50 as well."""
 MU, TOLERANCE = 1e-11, 1e-14
@@ -164,8 +162,7 @@ def rings_in_motion(k: int, steps: tuple[float, ...]) -> list[Row]:
     height, rows = let_go.SHEETS[0].sides(k)[1], []
     for dt in steps:
         fallen = done[f"{dt:g}"].found
-        apart = fallen.mean - mine
-        away = np.linalg.norm(apart - apart[0], axis=1).max()
+        away = np.linalg.norm(fallen.mean - mine - (fallen.mean - mine)[0], axis=1).max()
         told = (
             f"mean place falls {mine[0, 1] - mine[-1, 1]:.2f} mm",
             f"{fallen.mean[0, 1] - fallen.mean[-1, 1]:.2f} mm, least gap {fallen.least_gap:+.4f} r1",
