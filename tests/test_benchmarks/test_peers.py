@@ -8,7 +8,7 @@ import pytest
 from benchmarks import cone_form, peers
 from benchmarks.measure import ROOT
 from homogenize import default_law
-from macro_fem import Rectangle, Scene, Top
+from macro_fem import Mesh, Rectangle, Scene, Top
 from macro_fem.curtain import make_problem, solve_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 from tests.test_benchmarks.test_others import cells
@@ -49,7 +49,7 @@ def test_programs_run_in_turn_and_their_times_are_medians(monkeypatch):
 @pytest.mark.parametrize("solver", ["clarabel", "qoco"])
 def test_peers_find_our_potential(solver):
     pytest.importorskip(solver)
-    scene, law = Scene(Rectangle(200.0, 200.0), [Top()]), default_law()
+    scene, law = Scene(Rectangle(200.0, 200.0), [Top()], mesh=Mesh(cells=4)), default_law()
     found = solve_problem(make_problem(scene, law, build_mesh(scene, law.cell)))
     fem, size = found.problem.fem, found.problem.mesh.size
     load = fem.gather(found.problem.force)
