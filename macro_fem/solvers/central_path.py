@@ -222,7 +222,7 @@ def _make_result(place: _Place, stop: str, inner: _Place, steps: int, options: P
     program, y = place.program, place.state.y
     tail = y.tail[:, program.lead :]
     excess = place.now.dual * program.scale / float((program.w * y.head * program.c).sum())
-    lam = program.carried(y) / (program.c if program.flow else place.state.s.head)
+    lam = program.carried(y) / (place.state.s.head if program.flow else program.c)
     return PathResult(
         stop=stop,
         evidence=answer.evidence,

@@ -109,8 +109,7 @@ def test_a_deck_is_in_place_however_calculix_ends(tmp_path, monkeypatch):
 
 @pytest.mark.skipif("CALCULIX" not in os.environ, reason="CALCULIX is not the folder made by .ci/calculix")
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=pytest.mark.slow if name == "plane" else pytest.mark.release) for name in SCENES],
+    "name", [pytest.param(k, marks=pytest.mark.slow if "hooks" in k else pytest.mark.release) for k in SCENES]
 )
 def test_calculix_finds_our_curtain_from_a_flat_start(name, tmp_path):
     (tmp_path / "scene.toml").write_text(SCENES[name])

@@ -75,7 +75,7 @@ def test_it_converges_where_the_pointwise_value_does_not(support, load):
     assert told.line_load_averaged_over_mm2 == pytest.approx(AREA)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_it_converges_at_the_corners_to_a_few_per_cent():
     """Measured: 0.0147, 0.0151, 0.0151 N/mm, where the pointwise value is 0.046, 0.069, 0.092."""
     means = [largest_mean(solve(cells, {"kind": "corners"}), AREA).value for cells in (24, 36, 48)]

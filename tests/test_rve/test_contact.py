@@ -73,6 +73,17 @@ def test_minima_in_basins_narrower_than_the_samples_are_found(monkeypatch):
     assert (counts(48) < truth).any()
 
 
+def test_minima_of_rings_of_other_sizes_within_reach_are_those_of_a_search_without_end():
+    rng = np.random.default_rng(4)
+    radii = rng.uniform(0.3, 4.0, (2, 3000))
+    d, n_a, n_b = random_pairs(rng, 3000, 0.3, 5.0)
+    near, all_ = (local_minima(d, n_a, n_b, tuple(radii), reach=reach) for reach in (0.1, np.inf))
+    within = all_.take(all_.distance <= 0.1)
+    assert len(within.pair) > 100
+    np.testing.assert_array_equal(near.pair, within.pair)
+    np.testing.assert_allclose(near.distance, within.distance, atol=1e-12)
+
+
 def test_twins_closer_than_the_samples_are_both_found():
     # Two taut rings in planes at the angle chi: one contact for |cos chi| < 1 - d', two beyond; here just beyond.
     wire = 0.1

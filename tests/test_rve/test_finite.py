@@ -24,7 +24,9 @@ from rve.finite.contacts import (
     wall_gaps,
 )
 from rve.finite.newton import METRIC, NewtonSystem, blocks, forces_that_stop, gradients, negative_part, rows_of, spread
-from rve.finite.problem import Iterate, ScaledProblem
+from rve.finite.problem import Iterate, Problem, ScaledProblem
+from rve.finite.solution import SolverResult, as_solution
+from rve.finite.solve import solve_rings
 from rve.geometry import local_minima, tangent_frame
 from rve.placed.drawn import ALONG
 
@@ -421,6 +423,36 @@ def test_an_impossible_tolerance_stalls_in_bounded_work_at_an_answer_that_is_goo
     assert (early.status, early.iterations, "allow more" in early.message) == ("iterations", 3, True)
     same = FiniteOptions(max_iterations=3, disturbance=0.0)  # another start would be the same one
     assert mesh.solve(*problem, options=same).iterations == 3
+
+
+def small_problem():
+    """A mesh of five rings in the plane, as posed and without units, and its start."""
+    mesh = FiniteMesh.rectangle(Cell(), 1, 1)
+    force, held, at = hung(mesh, top_of(mesh))
+    problem = Problem(mesh, force, held, at, is_space=False, guide=np.full((5, 3), np.nan))
+    return problem, problem.scaled(), problem.start(FiniteOptions())
+
+
+def test_the_residual_of_an_answer_counts_overlaps_and_no_open_gap():
+    problem, scaled, start = small_problem()
+    for stretch, is_open in ((1.0, True), (1.3, False)):
+        con = scaled.find(replace(start, x=stretch * start.x), 0.5)
+        found = as_solution(problem, scaled, SolverResult(con, np.zeros(len(con.gap)), "stalled", 1e-9, ()))
+        assert (con.deepest.min() > 0.0) == is_open
+        assert found.kkt_residual == pytest.approx(1e-9 if is_open else -con.deepest.min(), rel=1e-12)
+
+
+def test_without_convergence_the_answer_is_the_best_iterate_and_its_residual_the_share_of_the_load():
+    """At the end of its path the solver lifts mu of rings that stall, which takes them far from balance."""
+    _, scaled, start = small_problem()
+    for count, least, most in ((20, 1e-3, 0.1), (69, 0.0, 1e-10), (70, 0.0, 1e-10)):
+        end = solve_rings(scaled, start, FiniteOptions(tolerance=1e-300, patience=6, max_iterations=count))
+        out = spread(end.contacts, gradients(end.contacts), end.force)
+        out[:, :3] += scaled.force
+        share = np.abs(scaled.motions.T @ out.ravel()).sum() / np.abs(scaled.force).sum()
+        assert end.status == "iterations"
+        assert least <= share < most
+        assert end.residual == pytest.approx(share, abs=1e-8)  # forces times gaps count too, where they are larger
 
 
 def random_pairs(seed, n=40):

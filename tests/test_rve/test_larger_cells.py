@@ -105,7 +105,7 @@ def test_states_give_way_out_of_the_plane_where_wire_is_thin(planar):
         assert not across.size or np.abs(across).max() > 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_table_of_a_larger_cell_is_normal_and_does_no_less_work():
     loads = product(np.array([-10.0, -5.0, 0.0, 45.0]), np.array([0.0, 5.0, 45.0]))
     flat, table = solve_table(THIN, loads), solve_table(SPACE, loads)
