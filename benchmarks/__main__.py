@@ -22,6 +22,7 @@ PAGES = {
     "docs/measured/friction.md": ("friction",),
     "docs/measured/chains.md": ("chains",),
     "docs/measured/others.md": ("others",),
+    "docs/measured/peers.md": ("peers",),
     "docs/measured/options.md": ("options",),
     "docs/reports/numbers.md": ("readme",),
 }

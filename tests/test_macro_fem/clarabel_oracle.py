@@ -2,7 +2,7 @@
 
     minimise -l.z   subject to   ||F_q(z) L_i||_F <= c_i,   S_i = L_i L_i^T,   c_i^2 = 2 h_i + tr S_i
 
-Second-order cones of dimension 1 + d rank S_i, at every point for the half-spaces the law starts with; those that the
+The cones of `benchmarks.cone_form`, at every point for the half-spaces the law starts with; those that the
 answer violates are added and the program is solved again (cutting planes). clarabel's homogeneous embedding needs no
 interior point and returns a certificate when there is no admissible state. P. J. Goulart, Y. Chen, arXiv 2405.12762.
 """
@@ -14,6 +14,7 @@ import clarabel
 import numpy as np
 from scipy import sparse
 
+from benchmarks.cone_form import ConeForm, gradient_matrix
 from homogenize import MembraneLaw
 from macro_fem.curtain import CurtainProblem, CurtainSolution, make_solution, stabilising_tension
 from macro_fem.fem import SupportedFem, internal_force
@@ -34,10 +35,6 @@ from macro_fem.solvers import (
 from macro_fem.solvers.cone_program import REACH
 from macro_fem.solvers.status import FREE
 from rve.common import Array, tell
-
-FLAT = 1e-12
-"""Eigenvalues of S below this (S has unit trace) count as zero: the half-space of a single direction."""
-
 
 ATTAINED = Evidence(gap=1e-5, unbalanced=1e-6, violation=1e-7)
 """Errors up to which an answer counts as one: clarabel often ends "almost solved", short of what is asked."""
@@ -129,62 +126,19 @@ class _Found:
     status: str
 
 
-def gradient_matrix(fem: SupportedFem) -> sparse.csr_matrix:
-    """B (nq d 2, n): free unknowns to flat deformation gradients."""
-    disc, d = fem.disc, fem.d
-    n_points, dofs = disc.n_points, np.tile(disc.cell_dofs, (disc.n_quad, 1))
-    point = np.repeat(np.arange(n_points), dofs.shape[1])
-    scalar = [
-        sparse.csr_matrix((disc.grad[:, :, j].ravel(), (point, dofs.ravel())), shape=(n_points, disc.n_nodes))
-        for j in range(2)
-    ]
-    rows, columns, values = [], [], []
-    for a in range(d):
-        for j in range(2):
-            entry = scalar[j].tocoo()
-            rows.append((entry.row * d + a) * 2 + j)
-            columns.append(entry.col * d + a)
-            values.append(entry.data)
-    shape = (n_points * d * 2, disc.n_nodes * d)
-    full = sparse.csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
-    return (full @ fem.T).tocsr()
-
-
-def square_roots(S: Array) -> tuple[Array, np.ndarray]:
-    """L (n, 2, 2) with L L^T = S for triples S (n, 3), larger column first, and the ranks (n,) 1 or 2."""
-    values, vectors = np.linalg.eigh(np.stack([S[:, [0, 1]], S[:, [1, 2]]], axis=1))
-    values = values[:, ::-1]
-    return vectors[:, :, ::-1] * np.sqrt(np.maximum(values, 0.0))[:, None, :], 1 + (values[:, 1] > FLAT)
-
-
 def _solve(task: _Task, cones: Cones) -> _Found:
     """clarabel's answer to the program of these half-spaces, posed in units of the size and the total load."""
-    fem, B, size = task.fem, task.B, task.size
-    d = fem.d
-    L, rank = square_roots(cones.S)
-    dimension = 1 + d * rank
-    start = np.concatenate([[0], np.cumsum(dimension)])
-    c = np.sqrt(2.0 * cones.size)
-    rows, columns, values = [], [], []
-    for k in range(2):
-        use = np.flatnonzero(rank > k)
-        for a in range(d):
-            for j in range(2):
-                rows.append(start[use] + 1 + k * d + a)
-                columns.append((cones.point[use] * d + a) * 2 + j)
-                values.append(L[use, j, k])
-    shape = (int(start[-1]), B.shape[0])
-    M = sparse.csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
-    b = M @ task.F0
-    b[start[:-1]] = c
+    fem, size = task.fem, task.size
+    form = ConeForm(fem, cones, size, task.B)
+    M, c, start, d = form.M, form.c, form.start, fem.d
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = ASKED
     settings.tol_feas = ASKED
-    A = sparse.vstack([-size * (M @ B), -size * task.A]).tocsc()
+    A = sparse.vstack([form.A, -size * task.A]).tocsc()
     zero = np.zeros(fem.n)
-    b = np.concatenate([b, task.rows.slack(zero)])
-    kinds = [clarabel.SecondOrderConeT(int(n)) for n in dimension]
+    b = np.concatenate([form.b, task.rows.slack(zero)])
+    kinds = [clarabel.SecondOrderConeT(int(n)) for n in form.dimension]
     if task.A.shape[0]:
         kinds.append(clarabel.NonnegativeConeT(task.A.shape[0]))
     answer = clarabel.DefaultSolver(

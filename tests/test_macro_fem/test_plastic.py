@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 from scipy import sparse
 
+from benchmarks.cone_form import gradient_matrix
 from homogenize import default_law, diagonal_net
 from homogenize.laws import plastic_law
 from macro_fem import read_scene, solve
@@ -19,7 +20,6 @@ from macro_fem.cli import main
 from macro_fem.curtain import solve_problem
 from rve import InputError
 from rve.common import WEIGHT
-from tests.test_macro_fem.clarabel_oracle import gradient_matrix
 from tests.test_macro_fem.sheets import posed, sheet
 from tests.test_macro_fem.test_random_scenes import draw
 
