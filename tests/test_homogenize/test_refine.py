@@ -7,7 +7,6 @@ import pytest
 
 from homogenize import default_law, locked_strain
 from homogenize.fitting import FINEST, Nodes, bounds_of, on_arcs, random_loads, refined_half_spaces, rows_from_table
-from homogenize.fitting.refine import on_chords, parts_of
 from homogenize.laws import polyhedral_law
 from rve import Cell, graded_grid, read_table, solve_table
 from rve.common import disc, double_dot, from_disc
@@ -51,17 +50,6 @@ def test_predictions_keep_every_row(ellipsoid):
     rows = rows_of(ellipsoid, disc_grid(4, 16))
     S, h = refined_half_spaces(rows)
     assert np.all(h - double_dot(S[:, None], rows.E[None]).max(axis=1) > -1e-12)
-
-
-def test_a_chord_has_as_many_loads_as_its_bounds_are_apart_half_way(ellipsoid):
-    rows = rows_of(ellipsoid, disc_grid(2, 12))
-    nodes, bounds = Nodes(disc(rows.S), rows.h, rows.E, np.arange(len(rows))), bounds_of(rows)
-    for i, j in ((0, 4), (1, 5), (14, 20), (3, 12)):
-        x, h = on_chords(nodes, np.array([[i, j]]), bounds, 1e-5)
-        parts = parts_of(bounds.gap(0.5 * rows.S[[i]] + 0.5 * rows.S[[j]]), 1e-5, 2)[0]
-        t = (np.arange(1, parts) / parts)[:, None]
-        assert x == pytest.approx((1.0 - t) * nodes.x[i] + t * nodes.x[j])
-        assert len(h) == parts - 1
 
 
 def strain_misses(law, unseen):
