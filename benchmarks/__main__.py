@@ -23,7 +23,6 @@ PAGES = {
     "docs/measured/chains.md": ("chains",),
     "docs/measured/others.md": ("others",),
     "docs/measured/peers.md": ("peers",),
-    "docs/measured/options.md": ("options",),
     "docs/reports/numbers.md": ("readme",),
 }
 """Sections of every page. A section is `measure` of the module of that name, in its page's folder if there is one."""

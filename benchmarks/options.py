@@ -1,6 +1,6 @@
 """What each number that steers a solver does: every field of every record of options at half and at twice its value.
 
-It takes half an hour and more.
+`python -m benchmarks.options` prints the table, in half an hour and more.
 """
 
 import gc
@@ -8,12 +8,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from benchmarks.frame import Section, table
+from benchmarks.frame import Section, markdown, table
 from benchmarks.measure import Row, decade, least_seconds
+from benchmarks.numerics import fingerprint
 from benchmarks.problems import Array, loads, square
 from homogenize import default_law, fit, locked_strain
 from macro_fem import EveryRing, OnDemand, read_scene, solve
@@ -184,3 +186,8 @@ def forget() -> None:
     for one in gc.get_objects():
         if isinstance(one, KEPT) and one is not answer_of:
             one.cache_clear()
+
+
+if __name__ == "__main__":
+    began = perf_counter()
+    print(markdown(measure(False), "options", perf_counter() - began, fingerprint("benchmarks.options")))
