@@ -23,7 +23,6 @@ from macro_fem.judged import (
     judge,
     live_way,
     obstacle_forces,
-    plastic_work,
     settling_of,
     string_stress,
     support_forces,
@@ -147,18 +146,12 @@ class MembraneSolution(Solution):
                 mean_height_mm=one.mean_height(),
                 lowest_point_mm=float(one.x[:, 1].min()),
                 potential_primal_N_mm=one.primal,
-                **self._of_flow(one),
+                way_mm=None if one.tau is None else live_way(one),
+                plastic_work_N_mm=one.plastic_work,
+                strings_stress_N_per_mm2=string_stress(one),
             )
             for step, one in enumerate(self.steps, 1)
         )
-
-    @staticmethod
-    def _of_flow(step: CurtainSolution) -> dict[str, float | None]:
-        """Force over way, of rings that flow."""
-        if step.tau is None:
-            return {}
-        keys = ("way_mm", "plastic_work_N_mm", "strings_stress_N_per_mm2")
-        return dict(zip(keys, (live_way(step), plastic_work(step), string_stress(step)), strict=True))
 
     def drawings(self, wanted: Pictures) -> Drawings:
         wanted.check(self.scene)

@@ -65,6 +65,11 @@ class CurtainSolution(CurtainState, Judged):
         return verdict if self.settling is None else self.settling.verdict(verdict)
 
     @property
+    def plastic_work(self) -> float | None:
+        """The energy in N mm that rings which flow have taken up; None where they do not flow."""
+        return None if self.tau is None else float(self.problem.disc.weight @ self.tau)
+
+    @property
     def relative_gap(self) -> float:
         """(primal - dual) / (total load times size): the error of the potential on the scale of the curtain."""
         return float((self.primal - self.dual) / (self._total * self.problem.mesh.size))

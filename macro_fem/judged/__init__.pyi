@@ -20,7 +20,6 @@ from .line_load import largest_mean as largest_mean
 from .rupture import Rupture as Rupture
 from .rupture import find_rupture as find_rupture
 from .rupture import live_way as live_way
-from .rupture import plastic_work as plastic_work
 from .rupture import string_stress as string_stress
 from .strength import EXTRAPOLATED as EXTRAPOLATED
 from .strength import MEANING as MEANING

@@ -28,28 +28,26 @@ ROUGH = 5e-3
 
 @dataclass(frozen=True)
 class Rupture:
-    """Where strings break, as the least and the largest of: tension over the area of the wire, N/mm2; factor on the
-    live loads; mean way of the loaded points along them from where they are drawn, mm; plastic work until then, N mm.
+    """Where strings break, as the least and the largest of: tension over the area of the wire; factor on the live
+    loads; mean way of the loaded points along them from where they are drawn; plastic work until then. As `Limit` has
+    them.
     """
 
-    stress: list[float]
-    factor: list[float]
-    way: list[float]
-    energy: list[float]
+    rupture_stress_N_per_mm2: list[float]
+    rupture_factor: list[float]
+    way_at_rupture_mm: list[float]
+    energy_until_rupture_N_mm: list[float]
 
 
 def string_stress(solution: CurtainSolution) -> float | None:
     """The largest tension over the area of the wire, N/mm2; None where rings never are strings."""
-    law, S = solution.problem.plastic_law, solution.inner.S_strings
+    if (S := solution.inner.S_strings) is None:
+        return None
+    law = solution.problem.plastic_law
     assert isinstance(law.own, PlasticLaw)
-    if S is None or law.own.strings is None:
+    if law.own.strings is None:
         return None
     return float(law.own.strings.wire.collapse_at(law.in_weave(S)).max())
-
-
-def plastic_work(solution: CurtainSolution) -> float | None:
-    """The energy in N mm that rings which flow have taken up; None where they do not flow."""
-    return None if solution.tau is None else float(solution.problem.disc.weight @ solution.tau)
 
 
 def live_way(solution: CurtainSolution) -> float | None:
@@ -84,7 +82,7 @@ def find_rupture(solution: CurtainSolution) -> Rupture | None:
             found = solve_problem(replace(problem, dead=problem.dead + (factor - problem.factor) * live), solution)
         if found.status != Status.CONVERGED:
             raise NotConverged(f"the curtain under {factor:.3g} times the live loads ends as {found.status}")
-        return [factor, live_way(found) or 0.0, plastic_work(found) or 0.0, string_stress(found) or 0.0]
+        return [factor, live_way(found) or 0.0, found.plastic_work or 0.0, string_stress(found) or 0.0]
 
     ends = [at(_crossing(lambda log, limit=limit: at(log)[3] / limit - 1.0)) for limit in band]  # type: ignore[misc]
     return Rupture(list(band), *(sorted(pair) for pair in zip(*(end[:3] for end in ends), strict=True)))

@@ -17,7 +17,6 @@ from macro_fem.judged import (
     judge_line_loads,
     judge_strength,
     links,
-    plastic_work,
     string_stress,
     support_forces,
     utilisation,
@@ -142,17 +141,11 @@ def with_limit(
         plastic_area_share=float(weight @ flows / weight.sum()),
         largest_plastic_strain=most,
         largest_plastic_strain_at_mm=solution.problem.disc.points[beyond.argmax()].tolist(),
-        plastic_work_N_mm=plastic_work(solution),
+        plastic_work_N_mm=solution.plastic_work,
         strings_stress_N_per_mm2=string_stress(solution),
     )
     if isinstance(rupture, Rupture):
-        parts = replace(
-            parts,
-            rupture_stress_N_per_mm2=rupture.stress,
-            rupture_factor=rupture.factor,
-            way_at_rupture_mm=rupture.way,
-            energy_until_rupture_N_mm=rupture.energy,
-        )
+        parts = replace(parts, **vars(rupture))
     none = dict.fromkeys(one.name for one in fields(Utilisation))
     judged = none if rigid is None else judge_strength(rigid).parts()
     too_low = None if not limit.is_coarse else COARSE_POINTS.format(limit.problem.disk_of_cell)
