@@ -147,7 +147,8 @@ def _follow(place: _Place, options: PathOptions) -> tuple[_Place, str, _Place, i
             return best, "stalled", inner, steps
         known, (program, state, is_moved, margin) = len(place.program.c), after
         steps, held = steps + 1, 0 if is_moved else held + 1
-        if prunes and place.now.gap < prunes[0]:
+        # Where rings flow residuals fall behind the gap, and half-spaces that look idle would leave points to run away.
+        if prunes and (place.now.gap if place.program.flow is None else place.now.error) < prunes[0]:
             program, state = prune(program, state)
             del prunes[0]
         if not state.is_inside:

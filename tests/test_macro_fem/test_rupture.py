@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homogenize import default_law
+from homogenize import default_law, fit
 from homogenize.laws import plastic_law
 from macro_fem import read_scene, solve
 from macro_fem.bounds import curtain_limit
+from macro_fem.curtain import solve_problem
 from macro_fem.judged import find_rupture, string_stress
-from rve import InputError
+from rve import Cell, InputError, named_material, solve_table, with_rings
 from rve.common import digits
 from rve.common.tensor import double_dot
 from rve.locking import string_states
@@ -175,3 +176,20 @@ def test_without_live_loads_nothing_breaks():
     assert find_rupture(found.solution) is None
     assert found.summary.rupture_factor is None
     assert "it takes live loads, and a [material] with ultimate" in found.summary.limit_note
+
+
+@pytest.mark.slow
+def test_strings_of_six_in_one_are_drawn_taut_without_a_detour():
+    """Where half-spaces that looked idle were dropped while forces were far from balance, one of these took 400 steps
+    without an end and one 165."""
+    cell = Cell(6.0, 0.5, weave="6-in-1", material=named_material("steel 1.4301"))
+    law = fit(with_rings(solve_table(cell), cell)).law
+    for place in ([180.0, 150.0], [320.0, 150.0], [250.0, 100.0]):
+        tables = net(0.0, 6) | {"curtain": {"width": 500.0, "height": 300.0}}
+        tables["support"] = tables["support"][:2]
+        tables["load"] = {"gravity": [0.0, 0.0, -9.81]}
+        for force in (6400.0, 7936.0, 9600.0, 16000.0):
+            patch = {"at": place, "radius": 60.0, "force": [0.0, 0.0, -force]}
+            found = solve_problem(posed(tables | {"load": tables["load"] | {"patch": [patch]}}, law))
+            assert found.status == "converged", (place, force, found.message)
+            assert found.iterations < 120, (place, force)
