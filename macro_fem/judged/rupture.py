@@ -22,8 +22,8 @@ from rve.wire import rupture_stress
 
 MOST_DOUBLED = 20
 """How often loads are doubled or halved at most to find those that break strings."""
-ROUGH = 5e-3
-"""Logarithm of a factor to which it is found; the band of rupture is a hundred times as wide."""
+ROUGH = 1e-3
+"""Logarithm of a factor to which it is found: tension grows up to twice as fast as the load."""
 
 
 @dataclass(frozen=True)

@@ -97,21 +97,17 @@ def test_the_limit_of_a_net_of_one_cell_that_is_pushed_across_is_found():
     assert 1.0 < limit.lower <= limit.factor <= limit.upper < 4.0
 
 
-def drawn_apart(move, force=3.0, **solver):
-    """Tables of a net of 200 mm whose sides are drawn apart by `move` mm, pulled down along its lower edge in N/mm."""
-    return {
-        "curtain": {"width": 200.0, "height": 200.0},
-        "mesh": {"cells": 2},
-        "support": [{"kind": "edge", "edge": "left"}, {"kind": "edge", "edge": "right", "move": [move, 0.0]}],
-        "load": {"gravity": 0.0, "edge": [{"edge": "bottom", "force": [0.0, -force]}]},
-        "solver": STRINGS | solver,
-    }
-
-
 @pytest.mark.parametrize("solver", [{}, pytest.param({"bounds": True}, marks=pytest.mark.slow)])
 def test_factors_are_those_of_the_loads_alone_on_the_mesh_and_with_the_moves_of_the_answer(solver):
-    summary = solve(read_scene(drawn_apart(80.0, **solver)), LAW).summary
-    broken = solve(read_scene(drawn_apart(80.0, 3.0 * summary.rupture_factor[1], **solver)), LAW).summary
+    """Of a net between two sides that are drawn apart, pushed across: strings in a plane share a load in other ways."""
+
+    def pushed(force):
+        tables = net(force, 2, **solver)
+        left, right, *_ = tables["support"]
+        return solve(read_scene(tables | {"support": [left, right | {"move": [60.0, 0.0, 0.0]}]}), LAW).summary
+
+    summary = pushed(3000.0)
+    broken = pushed(3000.0 * summary.rupture_factor[1])
     assert broken.strings_stress_N_per_mm2 == pytest.approx(summary.rupture_stress_N_per_mm2[1], rel=5e-3)
     assert broken.plastic_work_N_mm == pytest.approx(summary.energy_until_rupture_N_mm[1], rel=1e-5)
     last = broken.rupture_factor[1]
@@ -120,7 +116,13 @@ def test_factors_are_those_of_the_loads_alone_on_the_mesh_and_with_the_moves_of_
 
 def test_supports_may_be_as_far_apart_as_strings_reach():
     longest = np.sqrt(1.0 + 2.0 * string_states(LAW.cell.cell(), np.eye(3)[:1], LAW.cell.sides_mm).h[0])
-    tables = drawn_apart(0.0) | {"support": {"kind": "corners", "gather": 0.97 * longest}}
+    tables = {
+        "curtain": {"width": 200.0, "height": 200.0},
+        "mesh": {"cells": 2},
+        "support": {"kind": "corners", "gather": 0.97 * longest},
+        "load": {"gravity": 0.0, "edge": [{"edge": "bottom", "force": [0.0, -3.0]}]},
+        "solver": STRINGS,
+    }
     assert solve(read_scene(tables), LAW).status == "converged"
     tables["support"]["gather"] = 1.02 * longest
     with pytest.raises(InputError, match=r"the supports are farther apart than the mesh can stretch: .* 2 % more"):
