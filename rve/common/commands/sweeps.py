@@ -7,15 +7,15 @@ depend on each other, so that files are the same to the bit for any number of wo
 
 import io
 import os
-import pickle
 import signal
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
 from contextlib import AbstractContextManager, ExitStack, contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
@@ -153,6 +153,7 @@ def _cluster(address: str) -> Iterator[Executor]:
     except (OSError, ValueError) as error:
         raise InputError(f"--cluster = {address}: no Dask scheduler answers there: {error}") from error
     with client:
+        client.register_worker_callbacks(partial(_learn, list(PLUGINS)))
         try:
             # How often an item is begun again whose worker on a cluster was lost.
             yield client.get_executor(pure=False, retries=3)
@@ -163,7 +164,9 @@ def _cluster(address: str) -> Iterator[Executor]:
 @contextmanager
 def _side_by_side(jobs: int, out: Path | None) -> Iterator[Executor]:
     """Worker processes that end with the block, at once where it is left early, and when this process ends."""
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_begin_worker)
+    pool = ProcessPoolExecutor(
+        jobs, mp_context=get_context("spawn"), initializer=_begin_worker, initargs=(list(PLUGINS),)
+    )
     with pool, ExitStack() as early:
         early.callback(_end_children, out)
         try:
@@ -184,22 +187,16 @@ def _end_children(out: Path | None) -> None:
         clear_parts(out)
 
 
-def submit(pool: Executor, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-    """A call by a worker, which first learns the plugins of this process, whose classes may be among its arguments."""
-    return pool.submit(_call, list(PLUGINS), pickle.dumps((function, arguments)))
+def _learn(plugins: Sequence[str]) -> None:
+    """Let this process know the plugins of another one, whose classes come to it, and none that it knew before."""
+    forget_plugins()
+    for path in plugins:
+        load_plugin(path)
 
 
-def _call(plugins: list[str], call: bytes) -> Any:
-    if [*PLUGINS] != plugins:
-        forget_plugins()
-        for path in plugins:
-            load_plugin(path)
-    function, arguments = pickle.loads(call)
-    return function(*arguments)
-
-
-def _begin_worker() -> None:
-    """Let this worker end at once when its parent does, which alone handles Ctrl-C."""
+def _begin_worker(plugins: Sequence[str]) -> None:
+    """Let this worker know the plugins of its parent, and end at once when that does, which alone handles Ctrl-C."""
+    _learn(plugins)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
 
