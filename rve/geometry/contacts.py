@@ -50,19 +50,19 @@ class CellContacts(Rows):
 
 def find_contacts(pose: Pose, weave: Pattern, wire: float, reach: float) -> CellContacts:
     """Every contact of every case whose gap is below `reach` (in r1), and whether links are intact; wire = r2/r1."""
-    d, na, nb = (x.reshape(-1, 3) for x in pair_geometry(pose, weave))
+    circles, (ra, rb), wires = pair_geometry(pose, weave), weave.pair_radii, wire * weave.pair_wires
     n, p = len(pose.lattice), len(weave.pairs)
-    wires, (ra, rb) = wire * weave.pair_wires, (np.tile(radius, n) for radius in weave.pair_radii)
-    limit = np.tile(wires + reach, n)
-    near = np.flatnonzero(can_touch(d, ra + rb + limit))
-    found = local_minima(d[near], na[near], nb[near], (ra[near], rb[near]), reach=limit[near])
+    near = np.flatnonzero(can_touch(circles[0], ra + rb + wires + reach))
+    pair = near % p
+    radii, d, na, nb = (ra[pair], rb[pair]), *(x.reshape(-1, 3)[near] for x in circles)
+    found = local_minima(d, na, nb, radii, reach=wires[pair] + reach)
     rank = np.zeros(len(found.pair), dtype=int)
     for back in range(1, SLOTS + 1):
         rank[back:] += found.pair[back:] == found.pair[:-back]
     found = found.take(rank < SLOTS)
     slot = near[found.pair] * SLOTS + rank[rank < SLOTS]
 
-    gap = found.distance - wires[near[found.pair] % p]
+    gap = found.distance - wires[pair[found.pair]]
 
     def slots(values: NDArray[Any], empty: Any) -> NDArray[Any]:
         out = np.full((n * p * SLOTS, *values.shape[1:]), empty, dtype=values.dtype)
@@ -77,7 +77,7 @@ def find_contacts(pose: Pose, weave: Pattern, wire: float, reach: float) -> Cell
         slots(found.rho_a, 0.0),
         slots(found.rho_b, 0.0),
         slots(found.normal, 0.0),
-        (are_linked(d, na, nb, (ra, rb)).reshape(n, p) == weave.linked).all(axis=1),
+        (are_linked(*circles, (ra, rb)) == weave.linked).all(axis=1),
     )
 
 

@@ -97,21 +97,19 @@ def foot_on_circle(p: Array, n: Array, radius: Array | float = 1.0) -> Array:
 
 
 def are_linked(d: Array, n_a: Array, n_b: Array, radii: Radii = EQUAL) -> Flags:
-    """Whether the circles are linked, (n,): B meets the plane of A in two points, exactly one of them inside of A."""
+    """Whether the circles are linked, (...): B meets the plane of A in two points, exactly one of them inside of A."""
     c = dot(n_a, n_b)
-    in_plane = n_a - c[:, None] * n_b  # gradient in the plane of B of the height above plane A
+    in_plane = n_a - c[..., None] * n_b  # gradient in the plane of B of the height above plane A
     length = np.sqrt(np.maximum(dot(in_plane, in_plane), 1e-30))  # parallel planes: x stays a number
-    e = in_plane / length[:, None]
+    e = in_plane / length[..., None]
     a, b = radii
     x = -dot(n_a, d) / length  # height above plane A is length * x in the frame (e, f) of circle B
     inside = b * b - x**2
     crosses = (inside > 0.0) & (length > 1e-12)
-    y = np.sqrt(np.maximum(inside, 0.0))[:, None]
-    f = cross(n_b, e)
-    foot = d + x[:, None] * e
-    first = dot(foot + y * f, foot + y * f) < a * a
-    second = dot(foot - y * f, foot - y * f) < a * a
-    return np.asarray(crosses & (first != second))
+    y = np.sqrt(np.maximum(inside, 0.0))
+    foot = d + x[..., None] * e
+    middle, half = dot(foot, foot) + y * y, 2.0 * y * dot(foot, cross(n_b, e))  # squares of foot + y f and foot - y f
+    return np.asarray(crosses & ((middle + half < a * a) != (middle - half < a * a)))
 
 
 @dataclass(frozen=True)
