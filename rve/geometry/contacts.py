@@ -151,8 +151,9 @@ def slip_gradient(m: Minima, n_a: Array, r_a: float | Array, r_b: float | Array)
 
 
 def distance_forms(m: Minima, n_a: Array, n_b: Array) -> tuple[Array, Array]:
-    """Rows X (m, 7, 9) and weights w (m, 6): the first derivative of the distance with respect to (d, theta_a, theta_b),
-    exponential coordinates, is X_0, the second one w_1 X_1^T X_1 + ... + w_6 X_6^T X_6 if no ring spins about its axis.
+    """Rows X (m, 7, 9) and weights w (m, 6). The first derivative of the distance with respect to (d, theta_a,
+    theta_b), exponential coordinates, is X_0; the second one sum w_k X_k^T X_k, k = 1 ... 6, if no ring spins about
+    its axis.
 
     n_a, n_b (m, 3): normals of the rings. With q = (d, theta) and the two angles phi that place the points,
     H = D_qq - D_qphi D_phiphi^-1 D_phiq. The determinant of D_phiphi, which vanishes with the minimum, is kept above

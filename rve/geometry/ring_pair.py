@@ -114,9 +114,9 @@ def are_linked(d: Array, n_a: Array, n_b: Array, radii: Radii = EQUAL) -> Flags:
 
 @dataclass(frozen=True)
 class Circles:
-    """Pairs of circles: d, n_b, tangent frame e1, e2 of n_a, each (n, 3); radii a, b (n,); lines (7, n): z0, h0, z1, h1,
-    z2, h2, b, on which alone the distance of a point of A depends. Seen from the centre of B that point p at an angle
-    has the height p.n_b = z0 + z1 cos + z2 sin and half the square p.p / 2 = h0 + h1 cos + h2 sin.
+    """Pairs of circles: d, n_b, tangent frame e1, e2 of n_a, each (n, 3); radii a, b (n,); lines (7, n): z0, h0, z1,
+    h1, z2, h2, b, on which alone the distance of a point of A depends. Seen from the centre of B that point p at an
+    angle has the height p.n_b = z0 + z1 cos + z2 sin and half the square p.p / 2 = h0 + h1 cos + h2 sin.
     """
 
     d: Array

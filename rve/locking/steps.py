@@ -157,8 +157,9 @@ def accept_step(
             good[long] &= way > -equations.wire
         good = good.reshape(tries, len(bad))
         longest = good.argmax(axis=0) * len(bad) + np.arange(len(bad))
-        pose, contacts = pose.put(bad, there.take(longest)), contacts.put(bad, found.take(longest))
-        bad, halved = bad[~good.any(axis=0)], halved + tries
+        if halved:
+            there, found = pose.put(bad, there.take(longest)), contacts.put(bad, found.take(longest))
+        pose, contacts, bad, halved = there, found, bad[~good.any(axis=0)], halved + tries
         if not len(bad):
             return pose, contacts
     return pose.put(bad, first.take(bad)), contacts.put(bad, before.take(bad))
