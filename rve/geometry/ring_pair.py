@@ -132,10 +132,8 @@ class Circles:
         """Circles as `local_minima` takes them."""
         a, b = (np.broadcast_to(np.asarray(radius, dtype=float), len(d)) for radius in radii)
         e1, e2 = tangent_frame(n_a)
-        height = -dot(d, n_b), a * dot(e1, n_b), a * dot(e2, n_b)
-        square = 0.5 * (a * a + dot(d, d)), -a * dot(e1, d), -a * dot(e2, d)
-        lines = [part for both in zip(height, square, strict=True) for part in both]
-        return Circles(d, n_b, e1, e2, a, b, np.stack([*lines, b]))
+        ways = (of for e in (e1, e2) for of in (a * dot(e, n_b), -a * dot(e, d)))
+        return Circles(d, n_b, e1, e2, a, b, np.stack([-dot(d, n_b), 0.5 * (a * a + dot(d, d)), *ways, b]))
 
 
 def _slope_and_curvature(angle: Array, lines: Array) -> tuple[Array, Array]:
