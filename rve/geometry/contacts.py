@@ -39,8 +39,8 @@ class CellContacts(Rows):
     def minima(self) -> Minima:
         """The m contacts in the order of np.nonzero(present); `pair` is case * p + pair."""
         at = np.flatnonzero(self.present)
-        vectors = (rows.reshape(-1, 3)[at] for rows in (self.normal, self.rho, self.rho_b))
-        return Minima(at // SLOTS, *vectors, self.distance.ravel()[at], self.curvature.ravel()[at])
+        normal, rho, rho_b = (rows.reshape(-1, 3)[at] for rows in (self.normal, self.rho, self.rho_b))
+        return Minima(at // SLOTS, normal, rho, rho_b, self.distance.ravel()[at], self.curvature.ravel()[at])
 
     @property
     def min_gap(self) -> Array:
