@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -56,6 +57,7 @@ def locked_states(alpha_deg: Array, beta_deg: Array, cell: Cell, options: Direct
     return blocks[0].join(blocks[1:])
 
 
+@lru_cache(maxsize=64)
 def reference_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
     """Sides b_x, b_y in mm of the reference cell: locked under a pull along the grain. Raises NotConverged.
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rve.common import Array, Flags, Rows
 from rve.geometry.pattern import Pattern
 from rve.geometry.pose import Pose, pair_geometry
-from rve.geometry.ring_pair import Minima, are_linked, cross, dot, local_minima, norm
+from rve.geometry.ring_pair import Minima, are_linked, cross, dot, local_minima, norm, tangent_frame
 
 SLOTS = 2  # minima kept per pair of rings, the lowest two: linked rings have no more
 SHELL = 4
@@ -38,10 +38,9 @@ class CellContacts(Rows):
     @property
     def minima(self) -> Minima:
         """The m contacts in the order of np.nonzero(present); `pair` is case * p + pair."""
-        case, pair, _ = np.nonzero(self.present)
-        at = self.present
-        row = case * self.gap.shape[1] + pair
-        return Minima(row, self.normal[at], self.rho[at], self.rho_b[at], self.distance[at], self.curvature[at])
+        at = np.flatnonzero(self.present)
+        normal, rho, rho_b = (rows.reshape(-1, 3)[at] for rows in (self.normal, self.rho, self.rho_b))
+        return Minima(at // SLOTS, normal, rho, rho_b, self.distance.ravel()[at], self.curvature.ravel()[at])
 
     @property
     def min_gap(self) -> Array:
@@ -51,19 +50,19 @@ class CellContacts(Rows):
 
 def find_contacts(pose: Pose, weave: Pattern, wire: float, reach: float) -> CellContacts:
     """Every contact of every case whose gap is below `reach` (in r1), and whether links are intact; wire = r2/r1."""
-    d, na, nb = (x.reshape(-1, 3) for x in pair_geometry(pose, weave))
+    circles, (ra, rb), wires = pair_geometry(pose, weave), weave.pair_radii, wire * weave.pair_wires
     n, p = len(pose.lattice), len(weave.pairs)
-    wires, (ra, rb) = wire * weave.pair_wires, (np.tile(radius, n) for radius in weave.pair_radii)
-    limit = np.tile(wires + reach, n)
-    near = np.flatnonzero(can_touch(d, ra + rb + limit))
-    found = local_minima(d[near], na[near], nb[near], (ra[near], rb[near]), reach=limit[near])
+    near = np.flatnonzero(can_touch(circles[0], ra + rb + wires + reach))
+    pair = near % p
+    radii, d, na, nb = (ra[pair], rb[pair]), *(x.reshape(-1, 3)[near] for x in circles)
+    found = local_minima(d, na, nb, radii, reach=wires[pair] + reach)
     rank = np.zeros(len(found.pair), dtype=int)
     for back in range(1, SLOTS + 1):
         rank[back:] += found.pair[back:] == found.pair[:-back]
     found = found.take(rank < SLOTS)
     slot = near[found.pair] * SLOTS + rank[rank < SLOTS]
 
-    gap = found.distance - wires[near[found.pair] % p]
+    gap = found.distance - wires[pair[found.pair]]
 
     def slots(values: NDArray[Any], empty: Any) -> NDArray[Any]:
         out = np.full((n * p * SLOTS, *values.shape[1:]), empty, dtype=values.dtype)
@@ -78,7 +77,7 @@ def find_contacts(pose: Pose, weave: Pattern, wire: float, reach: float) -> Cell
         slots(found.rho_a, 0.0),
         slots(found.rho_b, 0.0),
         slots(found.normal, 0.0),
-        (are_linked(d, na, nb, (ra, rb)).reshape(n, p) == weave.linked).all(axis=1),
+        (are_linked(*circles, (ra, rb)) == weave.linked).all(axis=1),
     )
 
 
@@ -151,36 +150,42 @@ def slip_gradient(m: Minima, n_a: Array, r_a: float | Array, r_b: float | Array)
     return np.concatenate([t, -cross(p_a[:, None], t), cross(p_b[:, None], t)], axis=2)
 
 
-def distance_hessian(m: Minima, n_a: Array, n_b: Array, fixed: Flags | None = None) -> Array:
-    """Second derivative of the distance with respect to (d, theta_a, theta_b), (m, 9, 9), exponential coordinates.
+def distance_forms(m: Minima, n_a: Array, n_b: Array) -> tuple[Array, Array]:
+    """Rows X (m, 7, 9) and weights w (m, 6). The first derivative of the distance with respect to (d, theta_a,
+    theta_b), exponential coordinates, is X_0; the second one sum w_k X_k^T X_k, k = 1 ... 6, if no ring spins about
+    its axis.
 
     n_a, n_b (m, 3): normals of the rings. With q = (d, theta) and the two angles phi that place the points,
     H = D_qq - D_qphi D_phiphi^-1 D_phiq. The determinant of D_phiphi, which vanishes with the minimum, is kept above
-    1e-10 of its scale. Where `fixed` (m,) the point of ring a stays on its ring and only that of ring b slides.
+    1e-10 of its scale.
     """
     u, ra, rb, dist = m.normal, m.rho_a, m.rho_b, m.distance
-    eye = np.eye(3)
-    into = np.broadcast_to(eye, (len(dist), 3, 3))
-    turns = (cross(eye, rho[:, None]).transpose(0, 2, 1) for rho in (-ra, rb))  # matrices of theta -> theta x rho
-    W = np.concatenate([into, *turns], axis=2)
-    uW = np.matmul(u[:, None, :], W)
-    D_qq = (np.matmul(W.transpose(0, 2, 1), W) - uW.transpose(0, 2, 1) * uW) / dist[:, None, None]
-    for block, rho, sign in ((slice(3, 6), ra, -1.0), (slice(6, 9), rb, 1.0)):
-        outer = u[:, :, None] * rho[:, None, :]
-        spin = 0.5 * (outer + outer.transpose(0, 2, 1)) - dot(u, rho)[:, None, None] * eye
-        D_qq[:, block, block] += sign * spin
-    ta, tb = cross(n_a, ra), cross(n_b, rb)
-    w_phi = np.stack([-ta, tb], axis=2)  # dw/dphi_a, dw/dphi_b; both normal to u at a minimum
-    D_qp = np.matmul(W.transpose(0, 2, 1), w_phi) / dist[:, None, None]
-    D_qp[:, 3:6, 0] -= cross(ta, u)
-    D_qp[:, 6:9, 1] += cross(tb, u)
+    ta, tb, X = cross(n_a, ra), cross(n_b, rb), np.zeros((len(dist), 7, 9))
     a2, b2 = (np.maximum(dot(rho, rho), 1e-12) for rho in (ra, rb))  # walls have no radii
-    aa = a2 / dist + dot(u, ra)
-    bb = b2 / dist - dot(u, rb)
-    ab = -dot(ta, tb) / dist
-    det = np.maximum(aa * bb - ab**2, 1e-10 * a2 * b2 / dist**2)
-    inverse = np.stack([np.stack([bb, -ab], 1), np.stack([-ab, aa], 1)], 1) / det[:, None, None]
+    up_a, up_b, ab = dot(u, ra), dot(u, rb), -dot(ta, tb) / dist
+    bb = np.maximum(b2 / dist - up_b, 1e-10 * b2 / dist)
+    det = np.maximum((a2 / dist + up_a) * bb - ab**2, 1e-10 * a2 * b2 / dist**2)
+    for row, e in enumerate((u, *tangent_frame(u))):  # motions of w along u and across it
+        X[:, row, :3], X[:, row, 3:6], X[:, row, 6:] = e, cross(e, ra), cross(rb, e)
+    # D_phiq for ring b, and for ring a while b follows; dw/dphi, -ta and tb, are normal to u at a minimum.
+    ta_dist, tb_dist = ta / dist[:, None], tb / dist[:, None]
+    X[:, 3, :3], X[:, 3, 3:6], X[:, 3, 6:] = -ta_dist, cross(u, ta), cross(ta_dist, rb)
+    X[:, 4, :3], X[:, 4, 3:6], X[:, 4, 6:] = tb_dist, cross(tb_dist, ra), cross(tb, u)
+    X[:, 3] = bb[:, None] * X[:, 3] - ab[:, None] * X[:, 4]
+    X[:, 5, 3:6], X[:, 6, 6:] = ta, tb
+    return X, np.stack([1.0 / dist, 1.0 / dist, -1.0 / (bb * det), -1.0 / bb, up_a / a2, -up_b / b2], axis=1)
+
+
+def distance_hessian(m: Minima, n_a: Array, n_b: Array, fixed: Flags | None = None) -> Array:
+    """Second derivative (m, 9, 9) of the distance, see `distance_forms`. Where `fixed` (m,) the point of ring a, which
+    may be no minimum, stays on its ring and only that of ring b slides."""
+    X, weight = distance_forms(m, n_a, n_b)
     if fixed is not None:
-        inverse[fixed] = 0.0
-        inverse[fixed, 1, 1] = 1.0 / np.maximum(bb[fixed], 1e-10 * b2[fixed] / dist[fixed])
-    return np.asarray(D_qq - np.matmul(np.matmul(D_qp, inverse), D_qp.transpose(0, 2, 1)))
+        weight[fixed, 2] = 0.0
+    H = np.asarray(np.matmul(X[:, 1:].transpose(0, 2, 1), weight[..., None] * X[:, 1:]))
+    if fixed is not None:
+        rho, t = m.rho_a[fixed], cross(n_a[fixed], m.rho_a[fixed])
+        share = 0.5 * dot(m.normal[fixed], t) / np.maximum(dot(rho, rho), 1e-12)
+        skew = share[:, None, None] * rho[:, :, None] * t[:, None]
+        H[fixed, 3:6, 3:6] -= skew + skew.transpose(0, 2, 1)
+    return H

@@ -97,52 +97,58 @@ def foot_on_circle(p: Array, n: Array, radius: Array | float = 1.0) -> Array:
 
 
 def are_linked(d: Array, n_a: Array, n_b: Array, radii: Radii = EQUAL) -> Flags:
-    """Whether the circles are linked, (n,): B meets the plane of A in two points, exactly one of them inside of A."""
+    """Whether the circles are linked, (...): B meets the plane of A in two points, exactly one of them inside of A."""
     c = dot(n_a, n_b)
-    in_plane = n_a - c[:, None] * n_b  # gradient in the plane of B of the height above plane A
+    in_plane = n_a - c[..., None] * n_b  # gradient in the plane of B of the height above plane A
     length = np.sqrt(np.maximum(dot(in_plane, in_plane), 1e-30))  # parallel planes: x stays a number
-    e = in_plane / length[:, None]
+    e = in_plane / length[..., None]
     a, b = radii
     x = -dot(n_a, d) / length  # height above plane A is length * x in the frame (e, f) of circle B
     inside = b * b - x**2
     crosses = (inside > 0.0) & (length > 1e-12)
-    y = np.sqrt(np.maximum(inside, 0.0))[:, None]
-    f = cross(n_b, e)
-    foot = d + x[:, None] * e
-    first = dot(foot + y * f, foot + y * f) < a * a
-    second = dot(foot - y * f, foot - y * f) < a * a
-    return np.asarray(crosses & (first != second))
+    y = np.sqrt(np.maximum(inside, 0.0))
+    foot = d + x[..., None] * e
+    middle, half = dot(foot, foot) + y * y, 2.0 * y * dot(foot, cross(n_b, e))  # squares of foot + y f and foot - y f
+    return np.asarray(crosses & ((middle + half < a * a) != (middle - half < a * a)))
 
 
-Circles = tuple[Array, Array, Array, Array, Array]
-"""d, n_a, n_b (n, 3) and the radii a, b (n,) of pairs."""
+@dataclass(frozen=True)
+class Circles:
+    """Pairs of circles: d, n_b, tangent frame e1, e2 of n_a, each (n, 3); radii a, b (n,); lines (7, n): z0, h0, z1,
+    h1, z2, h2, b, on which alone the distance of a point of A depends. Seen from the centre of B that point p at an
+    angle has the height p.n_b = z0 + z1 cos + z2 sin and half the square p.p / 2 = h0 + h1 cos + h2 sin.
+    """
 
+    d: Array
+    n_b: Array
+    e1: Array
+    e2: Array
+    a: Array
+    b: Array
+    lines: Array
 
-def _circles(d: Array, n_a: Array, n_b: Array, radii: Radii) -> Circles:
-    a, b = (np.broadcast_to(np.asarray(radius, dtype=float), len(d)) for radius in radii)
-    return d, n_a, n_b, a, b
-
-
-def _lines(d: Array, n_a: Array, n_b: Array, a: Array, b: Array) -> Array:
-    """Height z over B's plane and half the square h of rho_a - d, linear in the cosine and sine of the angle of rho_a:
-    constant, cosine's and sine's part of z, then of h, and b, (7, n)."""
-    e1, e2 = tangent_frame(n_a)
-    h0, h1, h2 = 0.5 * (a * a + dot(d, d)), -a * dot(e1, d), -a * dot(e2, d)
-    return np.stack([-dot(d, n_b), a * dot(e1, n_b), a * dot(e2, n_b), h0, h1, h2, b])
+    @staticmethod
+    def of(d: Array, n_a: Array, n_b: Array, radii: Radii) -> "Circles":
+        """Circles as `local_minima` takes them."""
+        a, b = (np.broadcast_to(np.asarray(radius, dtype=float), len(d)) for radius in radii)
+        e1, e2 = tangent_frame(n_a)
+        ways = (of for e in (e1, e2) for of in (a * dot(e, n_b), -a * dot(e, d)))
+        return Circles(d, n_b, e1, e2, a, b, np.stack([-dot(d, n_b), 0.5 * (a * a + dot(d, d)), *ways, b]))
 
 
 def _slope_and_curvature(angle: Array, lines: Array) -> tuple[Array, Array]:
     """First and second derivative of D(angle), the distance of the point of A to circle B: D^2 = 2 h + b^2 - 2 b q,
     where q^2 = 2 h - z^2 is the distance from B's axis. Numbers only, so that no vector is formed."""
-    z0, z1, z2, h0, h1, h2, b = lines
+    (z0, h0), cosine, sine, b = lines[:2], lines[2:4], lines[4:6], lines[6]
     c, s = np.cos(angle), np.sin(angle)
-    zc, hc = z1 * c + z2 * s, h1 * c + h2 * s
-    z, dz, dh = z0 + zc, z2 * c - z1 * s, h2 * c - h1 * s
-    q = np.sqrt(np.maximum(2.0 * (h0 + hc) - z * z, 1e-28))
+    (zc, hc), (dz, dh) = cosine * c + sine * s, sine * c - cosine * s
+    z = z0 + zc
+    zz = z * z
+    q = np.sqrt(np.maximum(2.0 * (h0 + hc) - zz, 1e-28))
     dq = (dh - z * dz) / q
     bend = (z * zc - hc - dz * dz - dq * dq) / q
     # Centre circles that cross have no normal; the floor keeps the numbers finite, the gap is -2 r2 all the same.
-    distance = np.maximum(np.sqrt(z * z + (q - b) ** 2), 1e-12)
+    distance = np.maximum(np.sqrt(zz + (q - b) ** 2), 1e-12)
     slope = (dh - b * dq) / distance
     return slope, (-hc - b * bend - slope * slope) / distance
 
@@ -151,49 +157,44 @@ def _polish(
     pair: Index, angle: Array, width: float | Array, circles: Circles, shift: float | Array = 0.0
 ) -> tuple[Array, Minima]:
     """Newton on the slope from angle + shift, kept in the bracket angle +- width by bisection; angles and minima."""
-    d, n_a, n_b, a, b = of_pairs = tuple(of[pair] for of in circles)
-    lines, angle, low, high = _lines(*of_pairs), angle + shift, angle - width, angle + width
-    # Converged rows are dropped, so results do not depend on the batch; most need five rounds, a few thirty.
-    go = np.arange(len(angle))
-    for _ in range(40):
-        at = angle[go]
-        slope, curvature = _slope_and_curvature(at, lines[:, go])
-        left = low[go] = np.where(slope < 0.0, at, low[go])
-        right = high[go] = np.where(slope > 0.0, at, high[go])
-        with np.errstate(divide="ignore", invalid="ignore"):
+    angle, low, high = angle + shift, angle - width, angle + width
+    # Converged rows are dropped, so results do not depend on the batch; most need three rounds, a few thirty.
+    go, at, bend, lines = np.arange(len(angle)), angle, np.zeros(len(angle)), circles.lines[:, pair]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for _ in range(40):
+            slope, curvature = _slope_and_curvature(at, lines)
+            low, high = np.where(slope < 0.0, at, low), np.where(slope > 0.0, at, high)
             newton = at - slope / curvature
-        good = (curvature > 0.0) & (newton >= left) & (newton <= right)
-        trial = np.where(good, newton, 0.5 * (left + right))
-        # A stationary point to round-off moves no further; slope is in r1 per radian.
-        step = np.where(np.abs(slope) > 1e-15, trial - at, 0.0)
-        angle[go] = at + step
-        go = go[np.abs(step) > 1e-9]
-        if not len(go):
-            break
-    e1, e2 = tangent_frame(n_a)
-    rho_a = (a * np.cos(angle))[:, None] * e1 + (a * np.sin(angle))[:, None] * e2
-    rho_b = foot_on_circle(rho_a - d, n_b, b)
+            good = (curvature > 0.0) & (newton >= low) & (newton <= high)
+            # A stationary point to round-off moves no further; slope is in r1 per radian.
+            step = np.where(np.abs(slope) > 1e-15, np.where(good, newton, 0.5 * (low + high)) - at, 0.0)
+            at = angle[go] = at + step
+            bend[go] = curvature
+            moves = np.abs(step) > 1e-9
+            if not moves.all():
+                go, at, low, high, lines = go[moves], at[moves], low[moves], high[moves], lines[:, moves]
+            if not len(go):
+                break
+    d, a = circles.d[pair], circles.a[pair]
+    rho_a = (a * np.cos(angle))[:, None] * circles.e1[pair] + (a * np.sin(angle))[:, None] * circles.e2[pair]
+    rho_b = foot_on_circle(rho_a - d, circles.n_b[pair], circles.b[pair])
     w = d + rho_b - rho_a
     distance = np.maximum(norm(w), 1e-12)
-    curvature = _slope_and_curvature(angle, lines)[1] * distance / (a * a)
-    return angle, Minima(pair, w / distance[:, None], rho_a, rho_b, distance, curvature)
+    return angle, Minima(pair, w / distance[:, None], rho_a, rho_b, distance, bend * distance / (a * a))
 
 
-def _samples(start: Array, offset: Array, circles: Circles) -> Array:
+def _samples(start: Array, offset: Array, lines: Array) -> Array:
     """D^2 - b^2 (n, k) at the angles start (n,) + offset (k,), see `_slope_and_curvature`."""
-    lines = _lines(*circles)
     c, s = np.cos(start), np.sin(start)
-    cos, sin = np.cos(offset), np.sin(offset)
+    waves = np.stack([np.cos(offset), np.sin(offset), np.ones(len(offset))])
 
-    def over_samples(cosine: Array, sine: Array, constant: Array) -> Array:
-        # Written out: a matrix product rounds by the number of its rows, and no pair may depend on the others.
-        out = np.multiply.outer(c * cosine + s * sine, cos)
-        out += np.multiply.outer(c * sine - s * cosine, sin)
-        out += constant[:, None]
-        return out
+    def over_samples(constant: Array, cosine: Array, sine: Array) -> Array:
+        # Not a matrix product, which rounds by the number of its rows: no pair may depend on the others.
+        rows = np.stack([c * cosine + s * sine, c * sine - s * cosine, constant])
+        return np.asarray(np.einsum("in,ik->nk", rows, waves))
 
-    z = over_samples(lines[1], lines[2], lines[0])
-    pp = over_samples(*(2.0 * lines[[4, 5, 3]]))
+    z = over_samples(*lines[[0, 2, 4]])
+    pp = over_samples(*(2.0 * lines[[1, 3, 5]]))
     np.multiply(z, z, out=z)
     np.subtract(pp, z, out=z)
     np.sqrt(np.maximum(z, 0.0, out=z), out=z)
@@ -216,31 +217,35 @@ def local_minima(
     >>> two.distance.round(12)
     array([0.2])
     """
-    step, circles, reach = 2.0 * np.pi / samples, _circles(d, n_a, n_b, radii), np.broadcast_to(reach, len(d))
-    f = _samples(np.zeros(len(d)), step * np.arange(samples, dtype=np.float64), circles)
-    rise = np.roll(f, -1, axis=1) - f
-    fall = np.roll(rise, 1, axis=1)
-    is_min = (fall <= 0.0) & (rise > 0.0)
+    step, circles, reach = 2.0 * np.pi / samples, Circles.of(d, n_a, n_b, radii), np.broadcast_to(reach, len(d))
+    f = _samples(np.zeros(len(d)), step * np.arange(samples, dtype=np.float64), circles.lines)
+    # Changes (n, samples + 2) to every sample from the one before, the first one twice more at the end.
+    rises = np.diff(np.concatenate([f[:, -1:], f, f[:, :2]], axis=1))
+    is_min = (rises[:, :-2] <= 0.0) & (rises[:, 1:-1] > 0.0)
     lonely = ~is_min.any(axis=1)
     is_min[lonely, np.argmin(f[lonely], axis=1)] = True
-    # The distance falls by no more than a per radian: minima that cannot come within reach are not polished.
-    can_reach = f <= ((reach + step * circles[3]) ** 2 - circles[4] ** 2)[:, None]
-    pair, column = np.nonzero(is_min & can_reach)
-    bend = rise[pair, column] - fall[pair, column]
-    # The vertex of the parabola through three samples; a lonely sample may be no minimum and keeps its angle.
-    vertex = np.where(bend > 0.0, -0.5 * (rise[pair, column] + fall[pair, column]) / np.maximum(bend, 1e-300), 0.0)
-    centre, shift = step * column.astype(np.float64), step * np.clip(vertex, -0.5, 0.5)
-    angle, found = _polish(pair, centre, step, circles, shift)
-    near = found.distance <= reach[pair]
-    found, angle = found.take(near), angle[near]
+    pair, column = np.divmod(np.flatnonzero(is_min), samples)
     # Two circles have at most two local minima (none of 300,000 random pairs has three): where the samples show both,
     # none is hidden.
-    single = is_min.sum(axis=1) < 2
+    single = np.bincount(pair, minlength=len(d)) < 2
+    # The distance falls by no more than a per radian: minima that cannot come within reach are not polished.
+    most = (reach + step * circles.a) ** 2 - circles.b**2
+    near = f[pair, column] <= most[pair]
+    pair, column = pair[near], column[near]
+    fall, rise = rises[pair, column], rises[pair, column + 1]
+    # The vertex of the parabola through three samples; a lonely sample may be no minimum and keeps its angle.
+    vertex = np.where(rise > fall, -0.5 * (rise + fall) / np.maximum(rise - fall, 1e-300), 0.0)
+    angle, found = _polish(pair, step * column, step, circles, step * np.clip(vertex, -0.5, 0.5))
+    near = found.distance <= reach[pair]
+    found, angle = found.take(near), angle[near]
     soft = single[found.pair] & (found.curvature < _SOFT)
-    hidden, place = _shoulders(rise, fall, can_reach & single[:, None], step)
-    around, angles = np.concatenate([found.pair[soft], hidden]), np.concatenate([angle[soft], place])
+    pair, column = _shoulders(rises)
+    hidden = single[pair] & (f[pair, column] <= most[pair])
+    around = np.concatenate([found.pair[soft], pair[hidden]])
     if len(around):
-        return _with_twins(found, around, angles, reach, circles)
+        angles = np.concatenate([angle[soft], step * (column[hidden] + 0.5)])
+        known = np.pad(found.curvature[soft] > -_ROUND_OFF, (0, hidden.sum()))
+        return _with_twins(found, around, angles, known, reach, circles)
     return found.take(np.lexsort((found.distance, found.pair)))  # in the order that they have with twins
 
 
@@ -258,38 +263,40 @@ def followed_minima(
     >>> followed_minima(local_minima(d, n_a, n_b), d + [0.05, 0, 0], n_a, n_b).distance.round(12)
     array([0.15])
     """
-    e1, e2 = tangent_frame(n_a[near.pair])
-    angle = np.arctan2(dot(near.rho_a, e2), dot(near.rho_a, e1))
-    return _polish(near.pair, angle, width, _circles(d, n_a, n_b, radii))[1]
+    circles = Circles.of(d, n_a, n_b, radii)
+    e1, e2 = circles.e1[near.pair], circles.e2[near.pair]
+    return _polish(near.pair, np.arctan2(dot(near.rho_a, e2), dot(near.rho_a, e1)), width, circles)[1]
 
 
-def _shoulders(rise: Array, fall: Array, can_reach: Flags, step: float) -> tuple[Index, Array]:
-    """Pairs (k,) and angles (k,) between samples where the slope keeps its sign but has its least size, as at a minimum
-    in a basin narrower than two samples. rise, fall (n, m): differences to the next sample and from the one before.
-    """
-    size = np.abs(rise)
-    least = (size <= np.roll(size, 1, axis=1)) & (size <= np.roll(size, -1, axis=1))
-    pair, column = np.nonzero(least & can_reach)
-    slope, left, right = rise[pair, column], fall[pair, column], rise[pair, (column + 1) % rise.shape[1]]
+def _shoulders(rises: Array) -> tuple[Index, Index]:
+    """Pairs (k,) and samples (k,) after which the slope keeps its sign but has its least size, as at a minimum in a
+    basin narrower than two samples. rises (n, m + 2): changes from sample to sample, as in `local_minima`."""
+    size = np.abs(rises)
+    least = (size[:, 1:-1] <= size[:, :-2]) & (size[:, 1:-1] <= size[:, 2:])
+    pair, column = np.divmod(np.flatnonzero(least), least.shape[1])
+    left, slope, right = (rises[pair, column + k] for k in range(3))
     flat = (slope * left > 0.0) & (slope * right > 0.0)
-    return pair[flat], step * (column[flat] + 0.5)
+    return pair[flat], column[flat]
 
 
-def _with_twins(found: Minima, pair: Index, angle: Array, reach: Array, circles: Circles) -> Minima:
-    """The minima found and those that sampling has missed around the angles (k,) of the pairs (k,), each once."""
-    d, n_a, n_b, a, b = (of[pair] for of in circles)
+def _with_twins(found: Minima, pair: Index, angle: Array, known: Flags, reach: Array, circles: Circles) -> Minima:
+    """The minima found and those that sampling has missed around the angles (k,) of the pairs (k,), each once; known
+    (k,): angles of minima found."""
     # Twins may be 0.001 rad apart or 0.1: the samples crowd towards the minimum.
     offset = 0.8 / np.sinh(6.0) * np.sinh(np.linspace(-6.0, 6.0, 97))
     width = np.diff(offset)
-    f = _samples(angle, offset, (d, n_a, n_b, a, b))
-    slope = np.diff(f, axis=1) / width
-    row, column = np.nonzero((slope[:, :-1] <= 0.0) & (slope[:, 1:] > 0.0))
-    bracket = np.maximum(width[column], width[column + 1])
-    _, twins = _polish(pair[row], angle[row] + offset[column + 1], bracket, circles)
+    slope = np.diff(_samples(angle, offset, circles.lines[:, pair])) / width
+    row, column = np.divmod(np.flatnonzero((slope[:, :-1] <= 0.0) & (slope[:, 1:] > 0.0)), len(width) - 1)
+    # A minimum in the middle that has no other beside it is the known one.
+    alone = known & (np.bincount(row, minlength=len(pair)) == 1)
+    new = ~(alone[row] & (np.abs(offset[column + 1]) < 1e-3))
+    row, column = row[new], column[new]
     # A symmetric start may sit on the saddle between two twins: stationary, but no minimum.
-    soft, stable = found.curvature < _SOFT, found.curvature > -_ROUND_OFF
-    twins = twins.take((twins.curvature > -_ROUND_OFF) & (twins.distance <= reach[twins.pair]))
-    both = found.take(~soft | stable).join([twins])
+    both = found.take(found.curvature > -_ROUND_OFF)
+    if len(row):
+        bracket = np.maximum(width[column], width[column + 1])
+        _, twins = _polish(pair[row], angle[row] + offset[column + 1], bracket, circles)
+        both = both.join([twins.take((twins.curvature > -_ROUND_OFF) & (twins.distance <= reach[twins.pair]))])
     order = np.lexsort((both.distance, both.pair))
     pair, rho_a, first = both.pair[order], both.rho_a[order], np.ones(len(order), dtype=bool)
     # Two soft minima are found three times each and their order by distance is round-off: look back past all of them.
@@ -298,5 +305,5 @@ def _with_twins(found: Minima, pair: Index, angle: Array, reach: Array, circles:
         if not len(row):
             break
         apart = rho_a[row + back] - rho_a[row]
-        first[row + back] &= dot(apart, apart) >= (1e-4 * circles[3][pair[row]]) ** 2
+        first[row + back] &= dot(apart, apart) >= (1e-4 * circles.a[pair[row]]) ** 2
     return both.take(order[first])

@@ -213,19 +213,20 @@ def solve_equilibrium(
     found = Equilibrium(first, np.zeros(contacts.gap.shape), contacts, nan, iterations, stalled, tries, first)
     left, tuned = np.arange(len(s)), options
     for attempt in range(made, options.attempts):
-        pose = first.take(left)
+        pose, here = first.take(left), contacts.take(left)
         if attempt > 0:
             tuned = replace(options, shrink=SLOW[(attempt - 1) % len(SLOW)], power=1.0)
             tuned = replace(tuned, max_iterations=4 * options.max_iterations)
             shift = 0.03 * np.random.default_rng(attempt).uniform(-1.0, 1.0, (1, equations.modes.shape[1]))
             pose = equations.moved(pose, np.repeat(shift, len(left), axis=0))
+            here = equations.contacts(pose)
         # On the central path as far as forces can be.
-        contacts, n = equations.contacts(pose), len(left)
+        n = len(left)
         mu, inf = np.full(n, options.mu_start), np.full(n, np.inf)
-        lam = np.where(contacts.present, mu[:, None, None] / np.maximum(contacts.gap, 1e-9), 0.0)
+        lam = np.where(here.present, mu[:, None, None] / np.maximum(here.gap, 1e-9), 0.0)
         radius, stall = np.full(n, LARGEST_STEP), np.zeros(n, dtype=int)
-        system = equations.assemble(pose, contacts, lam, s[left])
-        state = PathState(left, s[left], pose, contacts, lam, system, mu, inf, inf, stall, radius, inf, iterations)
+        system = equations.assemble(pose, here, lam, s[left])
+        state = PathState(left, s[left], pose, here, lam, system, mu, inf, inf, stall, radius, inf, iterations)
         finished, rest = iterate_to_end(state, equations, tuned)
         for part in finished:
             tries, status = np.full(len(part.row), attempt + 1), np.full(len(part.row), "converged", dtype="<U16")

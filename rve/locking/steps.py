@@ -13,6 +13,8 @@ from rve.locking.system import Equations, System
 
 LARGEST_CORRECTION = 0.1
 """Of a coordinate, in r1 or radians."""
+TRIES = 16
+"""Steps tried at once by cases whose first step is too long."""
 
 
 def carry_forces(old: CellContacts, lam: Array, new: CellContacts, mu: Array) -> Array:
@@ -136,24 +138,28 @@ def accept_step(
 ) -> tuple[Pose, CellContacts]:
     """The pose after the longest of the steps 1, 1/2, 1/4 ... of dq (n, m) that keeps gaps above `floor` (n,) and
     links intact, and its contacts. With a valley, steps are corrected."""
-    first, before, bad = pose, contacts, np.arange(len(dq))
-    length = np.ones(len(dq))
-    for _ in range(31):
-        here, step = first.take(bad), length[bad, None] * dq[bad]
+    first, before, bad, halved = pose, contacts, np.arange(len(dq)), 0
+    while halved < 31:
+        # A few cases take as long as one: they try several steps at once.
+        tries = min(max(1, TRIES // len(bad)), 31 - halved) if halved else 1
+        row, length = np.tile(bad, tries), np.repeat(0.5 ** np.arange(halved, halved + tries), len(bad))
+        here, step = first.take(row), length[:, None] * dq[row]
         there = equations.moved(here, step)
         if valley is None:
             found = equations.contacts(there)
         else:
-            there, found = valley.correct(bad, step, there, equations)
-        good = found.links_intact & (found.min_gap >= floor[bad])
+            there, found = valley.correct(row, step, there, equations)
+        good = found.links_intact & (found.min_gap >= floor[row])
         # Shorter steps cannot carry a ring through a wire.
         long = np.flatnonzero(np.abs(step).max(axis=1) > (0.2 * equations.thinnest if valley is None else 0.0))
         if len(long):
             way = parallel_clearance(here.take(long), there.take(long), equations.weave, equations.wire)
             good[long] &= way > -equations.wire
-        pose, contacts = pose.put(bad, there), contacts.put(bad, found)
-        bad = bad[~good]
+        good = good.reshape(tries, len(bad))
+        longest = good.argmax(axis=0) * len(bad) + np.arange(len(bad))
+        if halved:
+            there, found = pose.put(bad, there.take(longest)), contacts.put(bad, found.take(longest))
+        pose, contacts, bad, halved = there, found, bad[~good.any(axis=0)], halved + tries
         if not len(bad):
             return pose, contacts
-        length[bad] *= 0.5
     return pose.put(bad, first.take(bad)), contacts.put(bad, before.take(bad))

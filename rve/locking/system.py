@@ -14,7 +14,7 @@ import numpy as np
 
 from rve.common import Array, Rows
 from rve.common.cell_fields import gyration_radius
-from rve.geometry.contacts import CellContacts, distance_gradient, distance_hessian, find_contacts
+from rve.geometry.contacts import CellContacts, distance_forms, find_contacts
 from rve.geometry.pose import Pose, moved, pair_maps, place_maps, reduction, turns_of
 from rve.geometry.weave import Weave
 
@@ -134,17 +134,21 @@ class Equations:
     def gap_derivatives(self, pose: Pose, contacts: CellContacts, T: Array, lam: Array) -> tuple[Array, Array]:
         """Gap gradients G (n, c, m) on the reduced coordinates, 0 in empty slots, and the sum (n, m, m) of the second
         derivatives of gaps times their forces lam (n, p, SLOTS); T is reduction(pose)."""
-        minima, m = contacts.minima, T.shape[2]
-        case, pair = np.divmod(minima.pair, len(self.weave.pairs))
-        LT = np.matmul(self.maps[pair], T[case])
-        G = np.zeros((*contacts.present.shape, m))
-        G[contacts.present] = np.matmul(distance_gradient(minima)[:, None, :], LT)[:, 0]
+        (n, p, slots), full, minima = contacts.present.shape, T.shape[1], contacts.minima
+        case, pair = np.divmod(minima.pair, p)
         na, nb = (pose.normals[case, ring] for ring in self.weave.pairs[pair, :2].T)
-        bent = lam[contacts.present][:, None, None] * distance_hessian(minima, na, nb)
-        bend, (cases, first) = np.zeros((len(T), m, m)), np.unique(case, return_index=True)
-        if len(cases):
-            bend[cases] = np.add.reduceat(np.matmul(np.matmul(LT.transpose(0, 2, 1), bent), LT), first, axis=0)
-        return G.reshape(len(T), G.shape[1] * G.shape[2], m), bend
+        X, weight = distance_forms(minima, na, nb)
+        X = np.matmul(X, self.maps[pair])
+        G = np.zeros((n, p, slots, full))
+        G[contacts.present] = X[:, 0]
+        # Rows of the contacts of every case, none of which has more of them than this.
+        place = np.arange(len(case)) - np.searchsorted(case, np.arange(n))[case]
+        rows, bent = np.zeros((2, n, place.max(initial=-1) + 1, 6, full))
+        rows[case, place] = X[:, 1:]
+        bent[case, place] = (lam[contacts.present][:, None] * weight)[..., None] * X[:, 1:]
+        rows, bent = (of.reshape(n, of.shape[1] * 6, full) for of in (rows, bent))
+        bend = np.matmul(rows.transpose(0, 2, 1), bent)
+        return np.matmul(G.reshape(n, p * slots, full), T), np.matmul(np.matmul(T.transpose(0, 2, 1), bend), T)
 
     def assemble(self, pose: Pose, contacts: CellContacts, lam: Array, s: Array) -> System:
         """Residual, derivatives and gradients at a pose for contact forces lam (n, p, SLOTS) and loads s (n, ...)."""

@@ -102,6 +102,9 @@ def largest_forces(s: Array, cell: Cell, step: float = 2.0) -> Array:
     rounded = np.stack([step * np.round(alpha[loaded] / step), step * np.round(beta[loaded] / step)], axis=1)
     rounded[:, 0] = np.mod(rounded[:, 0] + 90.0, 180.0) - 90.0
     rounded[:, 1] = np.maximum(rounded[:, 1], 0.5 * step)
+    # The mirror image of a weave that has one carries the load of the other sign of alpha.
+    flip = (rounded[:, 0] < 0.0) & (rounded[:, 0] > -90.0) & cell.weave.has_images
+    rounded[flip, 0] *= -1.0
     keys, back = np.unique(rounded, axis=0, return_inverse=True)
     states = locked_states(keys[:, 0], keys[:, 1], replace(cell, grain="y"), DirectOptions())
     per_pair, pairs = central_forces(states).max(axis=2), states.cell.weave.pairs[:, :2]
@@ -113,5 +116,8 @@ def largest_forces(s: Array, cell: Cell, step: float = 2.0) -> Array:
     loads = cauchy_line_load(*keys.T)
     for row in np.flatnonzero(~np.isfinite(unit).all(axis=1)):
         unit[row] = unit[good[np.argmin((loads[good] - loads[row]) ** 2 @ WEIGHT)]]
-    out[loaded] = size[loaded, None] * cell.r1 * unit[back.ravel()]
+    forces = unit[back.ravel()]
+    if flip.any():
+        forces[np.flatnonzero(flip)[:, None], cell.weave.images[:, 0]] = forces[flip]
+    out[loaded] = size[loaded, None] * cell.r1 * forces
     return out

@@ -32,7 +32,7 @@ from rve.locking.system import Equations, add_lattice_curvature
 from rve.placed.fit import shares
 from rve.solve import locked_block, reference_sides
 
-_BLOCK = 1024
+_BLOCK = 2048
 """Strains solved together: larger blocks take more memory, smaller ones more time."""
 POSE_MEANINGS = {
     "met": "the rings have the strain of the curtain, within the tolerance",
