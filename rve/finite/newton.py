@@ -20,6 +20,7 @@ from scipy.optimize import nnls
 from rve.common import Array, Index
 from rve.common.factor import Factorizer, Solve
 from rve.finite.contacts import (
+    POWER,
     MeshContacts,
     find_rows,
     is_passage_safe,
@@ -33,6 +34,7 @@ from rve.geometry.contacts import distance_gradient, distance_hessian
 from rve.geometry.ring_pair import tangent_frame
 
 PAIR = 7
+TURN, LEAST = 0.3, 1e-4
 METRIC = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.5])
 """Weights (7,) of the squares of d, theta_a, theta_b in the damping of a pair."""
 _CHUNK = 2048
@@ -106,6 +108,7 @@ class NewtonSystem:
         Pairs and contacts that would make the step short are stiffened. None if no damping is enough.
         """
         con, iterate = self.con, self.start
+        self._swings = []
         while True:
             solve, push = self._solver()
             if solve is None:
@@ -115,12 +118,34 @@ class NewtonSystem:
             y = solve(push)
             q = self._held + (self.problem.motions @ y).reshape(self._held.shape)
             dgap = self._R_gaps @ y + self._held_gaps
+            if self._limit_turns(q):
+                continue
             safe = safe_fractions(con, q)
             if self._turns >= self.method.turns or not self._stiffen_limiting(safe, dgap):
                 break
         stiff = self.stiff + self.iterate.extra
         dforce = (iterate.contact_mu * (1.0 - con.gap / con.reach) - iterate.force * con.gap) / con.gap - stiff * dgap
         return Step(q, dgap, dforce, safe, -float(self.push @ y), stiff, solve)
+
+    def _limit_turns(self, q: Array) -> bool:
+        turn = np.sqrt((q[:, 3:] ** 2).sum(axis=1))
+        swing, limit = self.iterate.swing, self.iterate.turn
+        rows = np.flatnonzero(turn > 1.5 * limit)
+        if not len(rows) or len(self._swings) > 6 or not self._is_fine:
+            return False
+        new = swing.copy()
+        new[rows] = np.maximum(swing[rows], 1e-8) * turn[rows] / limit[rows]
+        if self._swings:
+            w0, t0 = self._swings[-1]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                slope = (1.0 / turn - 1.0 / t0) / (swing - w0)
+                secant = swing + (1.0 / limit - 1.0 / turn) / slope
+            good = np.isfinite(secant) & (slope > 0.0)
+            secant = np.clip(np.where(good, secant, new), 1.5 * swing, 1e4 * np.maximum(swing, 1e-8))
+            new[rows] = np.where(good, secant, new)[rows]
+        self._swings.append((swing, turn))
+        self.iterate = replace(self.iterate, swing=new)
+        return True
 
     def answer(self, step: Step, force: Array) -> Array:
         """Displacements (n, 5) of the rings by the matrix of a step under contact forces (m,)."""
@@ -172,7 +197,8 @@ class NewtonSystem:
     def _weights(self, iterate: Iterate) -> Array:
         """The weights (7 f + 5 n + m,) of the rows of R."""
         damped = np.outer((self._scale * (iterate.damping + iterate.local))[self._coupled], METRIC)
-        soft = self._soft.ravel() + self.method.regularisation + 1e-6 * iterate.damping
+        soft = self._soft + np.append(np.zeros((len(iterate.swing), 3)), np.repeat(iterate.swing[:, None], 2, 1), axis=1)
+        soft = soft.ravel() + self.method.regularisation + 1e-6 * iterate.damping
         return np.concatenate([damped.ravel(), soft, iterate.extra])
 
     def _pairs(self) -> Array:
@@ -278,6 +304,14 @@ def line_search(system: NewtonSystem, step: Step, *, is_last: bool) -> tuple[Mes
             # All pairs are damped if one that closes was not near before.
             rows = find_rows(system.con.key, closed)
             near, local, damping = rows[rows >= 0], iterate.local.copy(), iterate.damping
+            ends = np.unique(np.concatenate([system.con.a[near], system.con.b[near]]))
+            size = length * np.sqrt((step.q[ends, 3:] ** 2).sum(axis=1))
+            ends, size = ends[size > LEAST], size[size > LEAST]
+            if len(ends) and system._is_fine:
+                turn = iterate.turn.copy()
+                turn[ends] = np.minimum(turn[ends], 0.25 * size)
+                system.iterate = replace(iterate, turn=turn)
+                return None, 0.0
             local[near] = np.maximum(30.0 * local[near], 5.0)
             if len(near) < len(closed):
                 damping = max(4.0 * damping, 1e-2)
@@ -345,7 +379,20 @@ def gradients(con: MeshContacts) -> Array:
     out = np.concatenate([g[:, :3], tilt_a, (g[:, 6:9, None] * frame[con.b[pair]]).sum(axis=1)], axis=1)
     if con.pose.walls:
         out[con.at_wall] = _wall_derivatives(con, np.flatnonzero(con.at_wall))[0]
+    if len(con.nodes.contact):
+        rows = np.unique(con.nodes.contact)
+        shared = con.nodes.share(con.gap)[:, None] * point_gradients(con, con.nodes.points)
+        out[rows] = sparse.csr_matrix(
+            (np.ones(len(shared)), (con.nodes.contact, np.arange(len(shared)))), shape=(len(out), len(shared))
+        )[rows] @ shared
     return out
+
+
+def point_gradients(con, minima):
+    frame = np.stack(tangent_frame(con.pose.normal), axis=2)
+    g, pair = distance_gradient(minima), minima.pair
+    tilt_a = (g[:, 3:6, None] * frame[con.a[pair]]).sum(axis=1)
+    return np.concatenate([g[:, :3], tilt_a, (g[:, 6:9, None] * frame[con.b[pair]]).sum(axis=1)], axis=1)
 
 
 def _wall_derivatives(con: MeshContacts, rows: Index) -> tuple[Array, Array]:
@@ -390,6 +437,19 @@ def blocks(con: MeshContacts, G: Array, stiff: Array, force: Array) -> Array:
         per[curved] -= force[rows[curved], None, None] * _curvatures(con, rows[curved], frame)
         add = sparse.csr_matrix((np.ones(len(rows)), rows - ends[0], ends - ends[0]), shape=(len(ends) - 1, len(rows)))
         out[part : part + _CHUNK] = (add @ per.reshape(-1, PAIR**2)).reshape(-1, PAIR, PAIR)
+    if len(con.nodes.contact):
+        at, points, row = con.nodes, con.nodes.points, con.nodes.contact
+        share, g = at.share(con.gap), con.gap[row]
+        each = point_gradients(con, points)
+        curved = _second(points, con, frame, np.ones(len(row), bool))
+        rate = each / at.gap[:, None]
+        part = share * at.gap / g
+        mean = np.zeros((len(con.gap), PAIR))
+        np.add.at(mean, row, part[:, None] * rate)
+        rate = rate - mean[row]
+        size = (force[row] * (POWER + 1) * g * part)[:, None, None]
+        add = size * rate[:, :, None] * rate[:, None, :] - (force[row] * share)[:, None, None] * curved
+        np.add.at(out, points.pair, add)
     return out
 
 
@@ -397,15 +457,22 @@ def _curvatures(con: MeshContacts, rows: Index, frame: Array) -> Array:
     """Second derivatives (k, 7, 7) of the gaps of contacts `rows` (k,); frame (n, 3, 2) of each ring."""
     pair, normal = con.minima.pair[rows], con.pose.normal
     a, b = con.a[pair], con.b[pair]
-    H = distance_hessian(con.minima.take(rows), normal[a], normal[b], con.fixed[rows])
-    B = np.zeros((len(rows), 9, PAIR))
-    B[:, [0, 1, 2], [0, 1, 2]] = 1.0
-    B[:, 3:6, 3:5], B[:, 6:9, 5:7] = frame[a], frame[b]
-    second = np.matmul(B.transpose(0, 2, 1), np.matmul(H, B))
+    second = _second(con.minima.take(rows), con, frame, con.fixed[rows])
+    if len(con.nodes.contact):
+        second[np.isin(rows, con.nodes.contact)] = 0.0
     if con.pose.walls:
         at_wall = b >= con.pose.rings
         second[at_wall] = _wall_derivatives(con, rows[at_wall])[1]
     return np.asarray(second)
+
+
+def _second(minima, con, frame, fixed):
+    normal, a, b = con.pose.normal, con.a[minima.pair], con.b[minima.pair]
+    H = distance_hessian(minima, normal[a], normal[b], fixed)
+    B = np.zeros((len(a), 9, PAIR))
+    B[:, [0, 1, 2], [0, 1, 2]] = 1.0
+    B[:, 3:6, 3:5], B[:, 6:9, 5:7] = frame[a], frame[b]
+    return np.matmul(B.transpose(0, 2, 1), np.matmul(H, B))
 
 
 def negative_part(pairs: Array) -> Array:

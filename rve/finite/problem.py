@@ -239,6 +239,7 @@ class ScaledProblem:
     inertia: RingInertia | None = None
     unit: float = 1.0
     method: SolverMethod = METHOD
+    wide: bool = True
 
     @property
     def keys(self) -> Index:
@@ -249,7 +250,7 @@ class ScaledProblem:
         """The contacts of a pose."""
         guard, points, soft = self.guard_points, self.fixed_points, self.method.soft
         return find_mesh_contacts(
-            pose, self.linked, self.wire, reach, guard_points=guard, fixed_points=points, soft=soft
+            pose, self.linked, self.wire, reach, guard_points=guard and not self.wide, fixed_points=points, soft=soft, wide=self.wide
         )
 
     def way_left(self, pose: MeshPose) -> Array:
@@ -297,6 +298,8 @@ class Iterate:
     convex: Array
     extra: Array
     gain: Array
+    swing: Array
+    turn: Array
 
     @property
     def contact_mu(self) -> Array:

@@ -19,7 +19,7 @@ from rve.common import Array, Flags, InputError, shown, tell
 from rve.common.factor import Factorizer
 from rve.finite.contacts import NO_POINTS, MeshContacts, MeshPose, make_fixed_points
 from rve.finite.layout import RingLayout
-from rve.finite.newton import NewtonSystem, Step, gradients, line_search, spread
+from rve.finite.newton import TURN, NewtonSystem, Step, gradients, line_search, point_gradients, rows_of, spread
 from rve.finite.problem import BLOCK, FiniteOptions, HalfSpace, Iterate, Problem, ScaledProblem
 from rve.finite.solution import FiniteSolution, IterationRecord, SolverResult, as_solution
 
@@ -97,7 +97,7 @@ def solve_near(problem: ScaledProblem, contacts: MeshContacts, force: Array, opt
 def _first_iterate(contacts: MeshContacts, force: Array, mu: float, damping: float) -> Iterate:
     """The first iterate, all rings at the same mu."""
     none, n = np.zeros(len(contacts.key)), len(contacts.pose.x)
-    return Iterate(contacts, force, np.full(n, mu), damping, none, none, 0.0 * force, np.full(n, -1.0))
+    return Iterate(contacts, force, np.full(n, mu), damping, none, none, 0.0 * force, np.full(n, -1.0), np.zeros(n), np.full(n, TURN))
 
 
 class _Path:
@@ -248,7 +248,22 @@ class _Path:
             )
             return
         is_exact = iterate.damping < 1e-6 and not iterate.convex.any() and iterate.local.max(initial=0.0) < 1e-2
-        self.iterate, self.is_minimum = _accept(system, new, step, length), is_exact and system.failed == 0
+        is_exact = is_exact and not system.iterate.swing.any()
+        self.is_minimum = is_exact and system.failed == 0
+        if self.is_end and self.is_minimum and len(iterate.contacts.nodes.contact):
+            spread_out = self._spread_out(system, step)
+            if max(residuals(spread_out, self.problem)) < self.options.tolerance:
+                self.iterate = spread_out
+                return
+        self.iterate = _accept(system, new, step, length)
+
+    def _spread_out(self, system: NewtonSystem, step: Step) -> Iterate:
+        """The iterate with its forces after the step, those of wide contacts at their points."""
+        iterate, con = self.iterate, self.iterate.contacts
+        points = con.nodes.points
+        rows = rows_of(con, points.pair, point_gradients(con, points)[:, None])
+        new, force = con.spread_out(iterate.force, step.dforce, step.dgap, rows @ step.q.ravel())
+        return replace(iterate, contacts=new, force=force, extra=np.zeros(len(force)))
 
     def _are_supports_stuck(self) -> bool:
         """Whether supports have come no nearer to their places over the window."""
@@ -319,7 +334,9 @@ def _accept(system: NewtonSystem, new: MeshContacts, step: Step, length: float) 
     convex = np.where((iterate.convex > start.convex) | (length <= 0.3), iterate.convex, 0.3 * iterate.convex)
     convex[convex < 0.02] = 0.0
     damping = damping if damping > 1e-9 else 0.0
+    turn = iterate.turn if length < 0.3 else np.minimum(TURN, 2.0 * iterate.turn)
     end = replace(iterate, force=force, damping=damping, convex=convex, gain=_gain(system, step)).at(new)
+    end = replace(end, swing=0.0 * iterate.swing, turn=turn)
     mu = end.contact_mu
     return replace(end, force=np.clip(end.force, 0.3 * new.central_forces(mu), 1e6 * mu / new.gap))
 
@@ -333,6 +350,7 @@ def _gain(system: NewtonSystem, step: Step) -> Array:
     a, b = con.a[coupled], con.b[coupled]
     work = np.bincount(con.minima.pair, step.stiff * step.dgap**2, len(con.key))[coupled]
     gain = 0.5 * (np.bincount(a, work, n) + np.bincount(b, work, n))
+    gain = gain + system.iterate.swing * (step.q[:, 3:] ** 2).sum(axis=1)
     count = 1.0 + np.bincount(a, minlength=n) + np.bincount(b, minlength=n)
     for _ in range(system.problem.method.path.smoothing):
         gain = (gain + np.bincount(a, gain[b], n) + np.bincount(b, gain[a], n)) / count
