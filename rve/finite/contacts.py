@@ -236,6 +236,11 @@ class MeshContacts:
         return np.where(total[pair] > 0.0, total[pair] * central / np.maximum(per_pair[pair], 1e-300), central)
 
     @property
+    def wide_keys(self) -> Index:
+        """Keys of the pairs with wide contacts."""
+        return self.key[np.unique(self.nodes.points.pair)]
+
+    @property
     def total(self) -> Array:
         """Sum (m,) of the forces at the points of each contact, over its force."""
         out = np.ones(len(self.gap))
@@ -288,17 +293,21 @@ def _no_minima() -> Minima:
 
 
 NO_NODES = WideContacts(np.zeros(0, np.intp), _no_minima(), np.zeros(0), np.zeros(0))
-STEP, SMOOTH, BACK, WIDE = 0.4, 0.7, 1.5, 0.4
+import os
+FLAT = float(os.environ.get('FLAT', '1e3'))
+STEP, SMOOTH, BACK, WIDE, STAY = 0.4, 0.7, 1.5, float(os.environ.get('WIDE','0.4')), float(os.environ.get('STAY','0.7'))
 
 
 def _widened(
-    minima: Minima, d: Array, na: Array, nb: Array, rb: Array, wires: Array, soft: SoftMinima
+    minima: Minima, d: Array, na: Array, nb: Array, rb: Array, wires: Array, soft: SoftMinima, was_wide: Flags
 ) -> tuple[Minima, WideContacts, Array]:
     """Minima with one of each soft pair, the points of these, and gaps."""
     gap = minima.distance - wires[minima.pair]
     first = np.searchsorted(minima.pair, np.arange(len(d) + 1))
     is_soft = np.zeros(len(d), bool)
-    is_soft[minima.pair[(minima.curvature < WIDE) & (norm(minima.rho_a)>0)]] = True
+    bend = np.maximum(minima.curvature, 0.0) / minima.distance
+    limit = np.where(was_wide, STAY, WIDE)[minima.pair]
+    is_soft[minima.pair[(minima.curvature < limit) & (norm(minima.rho_a)>0)]] = True
     least=np.full(len(d),np.inf); np.minimum.at(least,minima.pair,gap)
     is_soft&=least>0
     pairs = np.flatnonzero(is_soft)
@@ -353,6 +362,7 @@ def find_mesh_contacts(
     fixed_points: FixedPoints = NO_POINTS,
     soft: SoftMinima = SOFT,
     wide: bool = False,
+    kept: Index = np.zeros(0, np.int64),
 ) -> MeshContacts:
     """All contacts whose gap is below `reach` (r1); wire = r2/r1.
 
@@ -389,7 +399,7 @@ def find_mesh_contacts(
         minima = minima.take(distance >= fixed_points.spacing[point])
     nodes, gaps = NO_NODES, minima.distance - wires[minima.pair]
     if wide:
-        minima, nodes, gaps = _widened(minima, d, na, nb, rb, wires, soft)
+        minima, nodes, gaps = _widened(minima, d, na, nb, rb, wires, soft, np.isin(key, kept))
     free, zero, g = len(minima.pair), np.zeros((len(at_wall), 3)), g[is_near]
     others = [at_points, *([_guard_points(minima, d, na, nb, rb, wires, reach, soft)] if guard_points else ())]
     others.append(Minima(at_wall, -nb[at_wall], zero, zero, g + wires[at_wall], np.ones(len(g))).take(g < reach))

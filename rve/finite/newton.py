@@ -345,7 +345,7 @@ def _try_fraction(system: NewtonSystem, step: Step, length: float) -> tuple[Mesh
         q = q + system.answer(step, -step.stiff * np.minimum(gap - forecast, 0.0))
     else:
         return None, closed
-    new = problem.find(pose, con.reach)
+    new = problem.find(pose, con.reach, con)
     row = find_rows(con.key, new.key)
     closed = new.key[new.deepest < system.method.least * np.where(row >= 0, before[row], con.reach)]
     is_good = not len(closed) and is_passage_safe(con, new, q) and links_intact(new, problem.keys)
@@ -365,9 +365,11 @@ def _decreases(system: NewtonSystem, new: MeshContacts, slope: float) -> bool:
 
     old, mu = system.con, system.iterate.mu
     row = find_rows(old.key, new.key)
-    changed = (row >= 0) & (old.count[row] != new.count) & (old.count[row] > 0) & (new.count > 0)
+    changed = old.count[row] != new.count
+    changed |= np.isin(new.key, old.wide_keys) != np.isin(new.key, new.wide_keys)
+    changed &= (row >= 0) & (old.count[row] > 0) & (new.count > 0)
     excess = (beyond_deepest(new) - beyond_deepest(old)[row])[changed]
-    after = system.problem.barrier(new, mu) - float(new.pair_max(mu)[changed] @ excess)
+    after = system.problem.barrier(new, mu) - float(new.pair_max(mu)[changed] @ (excess + 1.0))
     return after <= system.barrier + 1e-4 * slope + 1e-11 * (1.0 + abs(system.barrier))
 
 

@@ -246,11 +246,11 @@ class ScaledProblem:
         """Keys of the linked pairs."""
         return np.asarray(self.linked[:, 0] * len(self.force) + self.linked[:, 1])
 
-    def find(self, pose: MeshPose, reach: float) -> MeshContacts:
+    def find(self, pose: MeshPose, reach: float, old: MeshContacts | None = None) -> MeshContacts:
         """The contacts of a pose."""
         guard, points, soft = self.guard_points, self.fixed_points, self.method.soft
         return find_mesh_contacts(
-            pose, self.linked, self.wire, reach, guard_points=guard and not self.wide, fixed_points=points, soft=soft, wide=self.wide
+            pose, self.linked, self.wire, reach, guard_points=guard and not self.wide, fixed_points=points, soft=soft, wide=self.wide, kept=self.keys[:0] if old is None else old.wide_keys
         )
 
     def way_left(self, pose: MeshPose) -> Array:

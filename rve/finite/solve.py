@@ -188,7 +188,7 @@ class _Path:
         self.stagnation.begin(mu != iterate.mu, is_lifted)
         self.iterate, reach = replace(iterate, mu=mu), self.reach(float(mu.max()))
         if reach != iterate.contacts.reach or is_stuck:
-            self.iterate = self.iterate.at(self.problem.find(iterate.contacts.pose, reach))
+            self.iterate = self.iterate.at(self.problem.find(iterate.contacts.pose, reach, iterate.contacts))
 
     def _next_mu(self) -> tuple[Array, Flags]:
         """mu (n,) of the rings for the next iterate, and which of them were lifted.
