@@ -12,10 +12,11 @@ from benchmarks.problems import normality, square
 from homogenize import MembraneLaw, default_law, ring_net
 from homogenize.laws import PolyhedralLaw
 from macro_fem import read_scene
+from macro_fem.bounds import curtain_limit
 from macro_fem.curtain import make_problem, solve_problem
 from macro_fem.fem import HungLaw
 from macro_fem.scene.meshing.mesh import build_mesh
-from rve import Cell, InputError, StrainTable, solve_table
+from rve import WEAVES, Cell, InputError, StrainTable, solve_table
 from rve.directions import product
 from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, Weave
 from rve.simulation import ROUND_OFF, SimulationOptions, simulate
@@ -25,6 +26,8 @@ RATIOS = (
     (FOUR_IN_ONE, (3.98093, 3.9811, 3.99, 4.0, 5.0, 7.0, 10.0, 20.0, 50.0, 100.0)),
     (SIX_IN_ONE, (5.9433, 5.95, 6.0, 7.0, 10.0, 20.0, 50.0, 100.0)),
 )
+THINNER = (1.0001, 1.03, 1.5, 3.0)
+"""r1/r2 of the other weaves, some of rings of two sizes, over that at which they jam."""
 LOADS = product(np.array([0.0, 15.0, 30.0, 45.0]), np.array([0.0, 5.0, 20.0, 45.0, 70.0, 85.0, 90.0]))
 UNIQUE = np.array([[0.0, 0.0], [0.0, 45.0], [10.0, 10.0], [20.0, 30.0], [45.0, 0.0], [45.0, 90.0], [30.0, 70.0]])
 """Loads whose strain is unique at r1/r2 = 10, one of them the kink (0, 0)."""
@@ -40,6 +43,7 @@ RIMS = {
 OUTCOME, RISES = "outcome", "energy never rises"
 STATUS, HEIGHT = "status or message", "mean height, mm"
 FAR = 1e6
+KINDS = ("rigid", "elastic", "plastic")
 NOISE = {"R": "at_most 1e-11", "overlap, mm": "at_most 1e-12", "iterations, median": ".0f"}
 
 
@@ -83,6 +87,8 @@ def ladders() -> Iterator[tuple[str, dict[str, float]]]:
         yield f"mass times 1e{e}", {"density": Cell().density * f}
     for e in range(-4, 4):
         yield f"h_max 1e{e} s", {"h_max": 10.0**e}
+    for friction in (0.01, 0.1, 0.3, 1.0):
+        yield f"friction {friction:g}", {"friction": friction}
     for e in range(-4, 5, 2):
         load = {"load": 2.5 * 10.0**e}
         yield f"line load times 1e{e}", load
@@ -148,7 +154,11 @@ def curtain_row(name: str, tables: dict[str, Any], law: MembraneLaw, kind: str) 
     row: Row = {"curtain": name, "solver": kind}
     try:
         scene = read_scene(whole)
-        found = solve_problem(make_problem(scene, law, build_mesh(scene, law.cell)))  # of sides below a ring's, too
+        problem = make_problem(scene, law, build_mesh(scene, law.cell))  # of sides below a ring's, too
+        limit = curtain_limit(problem) if kind == "plastic" else None
+        if limit is not None and limit.is_passed:
+            return row | {STATUS: f"collapsed at {limit.factor:.2g} of the loads"}
+        found = solve_problem(problem)
     except InputError as error:
         return row | {STATUS: str(error)}
     if found.status != "converged":
@@ -158,9 +168,9 @@ def curtain_row(name: str, tables: dict[str, Any], law: MembraneLaw, kind: str) 
 
 
 def curtain_rows() -> list[Row]:
-    """All extremes by both solvers, and nine decades of stiffness."""
+    """All extremes by every solver, and nine decades of stiffness."""
     law = default_law()
-    rows = [curtain_row(*one, law, kind) for kind in ("rigid", "elastic") for one in curtain_tables().items()]
+    rows = [curtain_row(*one, law, kind) for kind in KINDS for one in curtain_tables().items()]
     for size in 10.0 ** np.arange(10):
         stiff = replace(law, stiffness=size * np.eye(3), strength=None)
         rows.append(curtain_row(f"rings of {size:.0e} N/mm", {}, stiff, "elastic"))
@@ -170,7 +180,9 @@ def curtain_rows() -> list[Row]:
 def measure(full: bool) -> Section:
     """All of it; `full` has four times as many random loads."""
     more = 4 if full else 1
+    others = [weave for weave in WEAVES.values() if weave not in (FOUR_IN_ONE, SIX_IN_ONE)]
     loads = [ratio_row(weave, ratio) for weave, ratios in RATIOS for ratio in ratios]
+    loads += [ratio_row(weave, thinner * weave.jamming_ratio) for weave in others for thinner in THINNER]
     loads += [rim_row(name, ratio) for name in RIMS for ratio in (5.0, 10.0, 50.0)] + random_rows(6 * more)
     curtains = curtain_rows()
     motions = [motion_row(*one, steps=200 * more) for one in ladders()]

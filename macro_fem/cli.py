@@ -21,7 +21,7 @@ from rve.common import (
     write_text,
 )
 from rve.common.commands.command_line import Group, answer, end_as, made, options, renamed, say, say_next
-from rve.common.commands.sweeps import Row, SweepItem, further_options, run_sweep, sweep_options
+from rve.common.commands.sweeps import Row, SweepItem, cluster_option, further_options, run_sweep, sweep_options
 
 MOST_RINGS = 90_000
 """From this many on `localize` is told that they are wanted: its own limit is a little above."""
@@ -139,6 +139,7 @@ def _answer_or_go_on(summary: Mapping[str, Any], failed: NotDrawn | None, comman
 @click.option(
     "--jobs", type=click.IntRange(1, 1000), help="Processes side by side.  [default: large meshes one a core]"
 )
+@cluster_option
 def size(scene: Path, law_path: Path | None, cell: str | None, out: Path | None, picture: bool, **asked: Any) -> None:
     """The largest pitch, bar or wind of SCENE, or the thinnest wire, with which it holds.
 
@@ -160,7 +161,7 @@ def size(scene: Path, law_path: Path | None, cell: str | None, out: Path | None,
     law = interval_or_law(law_path) if law_path is not None and on_demand is None else None
     hung = with_flow(load_scene(scene)) if asked["limit"] else load_scene(scene)
     sought = Sought(hung, on_demand or law, asked["vary"], asked["factor"])
-    found = find_size(sought, (asked["low"], asked["high"]), out=out, jobs=asked["jobs"])
+    found = find_size(sought, (asked["low"], asked["high"]), out=out, jobs=asked["jobs"], cluster=asked["cluster"])
     if out is not None:
         found.save(out, picture=picture)
     if found.value is None:

@@ -35,7 +35,7 @@ from rve.common import (
     shown,
     write_text,
 )
-from rve.common.commands.sweeps import side_by_side
+from rve.common.commands.sweeps import workers
 from rve.common.drawing.plane import BLUE, VERMILION, new_axes, save_figure
 from rve.common.typed import not_one_of
 
@@ -286,9 +286,17 @@ def largest_that_holds(scene: Scene, who: Who, vary: str, ends: tuple[float, flo
     return found
 
 
-def find_size(sought: Sought, ends: tuple[float, float], *, out: Path | None = None, jobs: int | None = 1) -> Size:
+def find_size(
+    sought: Sought,
+    ends: tuple[float, float],
+    *,
+    out: Path | None = None,
+    jobs: int | None = 1,
+    cluster: str | None = None,
+) -> Size:
     """`largest_that_holds`, with `value` None where none does. out: a folder where each answer is kept as it comes, in
-    size.csv too, and from which the same search goes on; jobs: processes, None for one a core where the mesh is large.
+    size.csv too, and from which the same search goes on; jobs: processes, None for one a core where the mesh is large;
+    cluster: address of a Dask scheduler, whose workers solve instead.
     """
     (low, high), vary = ends, sought.vary
     if not 0.0 < low < high < np.inf:
@@ -305,8 +313,11 @@ def find_size(sought: Sought, ends: tuple[float, float], *, out: Path | None = N
     trials = Trials(sought, None if out is None else out / KEPT)
     if out is not None:
         trials.on_answer = lambda: write_text(out / "size.csv", csv_of(vary, trials.rows))
-    jobs = jobs or (os.cpu_count() or 1 if cells else 1)
-    with noted_if_stopped(note), side_by_side(jobs) if jobs > 1 else nullcontext() as trials.pool:
+    jobs = jobs or (os.cpu_count() or 1 if cells and cluster is None else 1)
+    with (
+        noted_if_stopped(note),
+        workers(jobs, cluster) if jobs > 1 or cluster is not None else nullcontext() as trials.pool,
+    ):
         trials.planned, guide = 3, None
         if cells:
             trials.guide = Trials(replace(sought, cells=cells), trials.folder, trials.pool, planned=6)

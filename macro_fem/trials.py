@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, wait
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from hashlib import sha256
@@ -29,7 +29,8 @@ from macro_fem.scene.support_kinds import Hanging
 from macro_fem.scene.tables import Bar, Combination, Item, Wind
 from macro_fem.summary import CurtainSummary
 from rve import solve_table, with_rings
-from rve.common import NO_CACHE, Cache, InputError, JsonObject, NotConverged, checksum, digits, part_of, tell, versions
+from rve.common import NO_CACHE, Cache, InputError, JsonObject, checksum, digits, part_of, tell, versions
+from rve.common.commands.sweeps import submit
 
 VARIED: dict[str, tuple[str, str, Callable[[Item], bool]]] = {
     "pitch": ("mm", "hooks or runners", lambda item: isinstance(item, Hanging) and item.has_hooks),
@@ -41,7 +42,6 @@ VARIED: dict[str, tuple[str, str, Callable[[Item], bool]]] = {
 MAY_GOVERN = 1.1
 """A combination whose factor was this many times the least one, at the nearest value where it is known, is not solved.
 Larger: more are; smaller: more of them turn out to govern at the end, and the search goes on."""
-LOST = "a process was lost, perhaps for lack of memory: the same command with --jobs 1 goes on from there"
 
 Who = MembraneLaw | LawInterval | OnDemand | None
 Case = Combination | None
@@ -235,17 +235,14 @@ class Trials:
                     solved = answer_of(*task)
                 yield key, solved
             return
-        futures = {self.pool.submit(answer_of, *task): key for key, task in tasks.items()}
+        futures = {submit(self.pool, answer_of, *task): key for key, task in tasks.items()}
         left = set(futures)
         while left:
             tell(*self._told(futures[next(iter(left))], len(left)))
             # How often progress is told while other processes solve.
             done, left = wait(left, 1.0, FIRST_COMPLETED)
             for future in done:
-                try:
-                    yield futures[future], future.result()
-                except BrokenExecutor as error:
-                    raise NotConverged(LOST) from error
+                yield futures[future], future.result()
 
     def _told(self, key: Key, left: int) -> tuple[str, int, int, float]:
         """Progress: what is solved now, the last answer, and how many are left, as `tell` takes it."""

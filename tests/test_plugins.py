@@ -1,12 +1,15 @@
 """Own laws, supports, loads and materials: the examples by the command line, against closed forms."""
 
 import json
+import os
+import signal
 import sys
 from collections.abc import Iterator, MutableMapping
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
+import distributed
 import numpy as np
 import pytest
 
@@ -16,7 +19,9 @@ import rve
 from homogenize.laws import highest, outer_vertices
 from macro_fem.output import loads_in_words
 from macro_fem.output.plans import draw_sheet
-from rve.common import load_installed, load_plugin
+from macro_fem.size import find_size
+from macro_fem.trials import Sought
+from rve.common import Progress, heard_by, load_installed, load_plugin
 from rve.common.files import PLUGINS
 from rve.common.plugins import forget_plugins
 from tests.commands import run
@@ -119,6 +124,28 @@ def test_workers_of_a_sweep_load_plugins(folder: Path, jobs: int) -> None:
     words += [f"--plugin={EXAMPLES / name}" for name in ("own_law.py", "own_support.py")]
     done = run("macro_fem", "sweep", folder / "scene.toml", folder / "other.toml", *words)
     assert "2 of 2 done" in done.output
+
+
+@pytest.mark.slow
+def test_a_search_on_a_cluster_that_loses_a_worker_is_that_of_this_machine(folder: Path) -> None:
+    """With plugins that its workers have not seen."""
+    hooks = SCENE.replace('kind = "rope"\nsag = 40.0\n', 'kind = "hooks"\npitch = 100.0\ncapacity = 20.0\n')
+    (folder / "hung.toml").write_text(hooks)
+    load_plugin(EXAMPLES / "own_law.py")
+    law = homogenize.load_law(folder / "law.json")
+    sought, ends = Sought(macro_fem.load_scene(folder / "hung.toml"), law, "pitch", 2.0), (100.0, 300.0)
+    lost: list[int] = []
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+
+        def listen(work: Progress) -> None:
+            if not lost and " left; " in work.work:
+                lost.append(cluster.workers[0].pid)
+                os.kill(lost[0], signal.SIGKILL)
+
+        with heard_by(listen):
+            there = find_size(sought, ends, cluster=cluster.scheduler_address)
+    assert lost
+    assert there == find_size(sought, ends)
 
 
 def test_where_an_own_law_leaves_the_strength_open_every_verdict_says_so(folder: Path) -> None:

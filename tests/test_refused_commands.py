@@ -74,7 +74,7 @@ rve support --S 1,0,-1 -> has the eigenvalue -1
 rve support --S 1,0,0 --branches none -> 'none' is not one of
 rve sweep --out tables --r1 5 --r2 0.5 --cluster tcp://127.0.0.1:9 -> no Dask scheduler answers there
 rve sweep --out tables --r1 5 --r2 0.5 --cluster '' -> no Dask scheduler answers there
-rve sweep --out tables --r1 5 --r2 0.5 --cluster x --jobs 2 -> two ways to run a sweep
+rve sweep --out tables --r1 5 --r2 0.5 --cluster x --jobs 2 -> two ways to run side by side
 rve sweep --out tables --r1 5 --r2 0.5,0.50 -> 2 items of the sweep are called so
 homogenize strain law.json --alpha nan --beta 3 -> --alpha nan
 homogenize strain law.json --alpha 10 --beta -5 -> push

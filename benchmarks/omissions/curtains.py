@@ -36,12 +36,14 @@ def measure(full: bool) -> Section:
         all_half_spaces(law, 6 if full else 4),
         ties(law, cells),
         by_option(law, "idle half-spaces", cells, PathOptions(), KEEP_IDLE),
+        *(flow(law, cells // 2, strings) for strings in (False, True)),
     ]
     text = (
         "A square metre of ring mesh, r1/r2 = 10, hung by its corners, or from its top edge with a straight bar. "
         "`third-coordinate`: nodes may leave the plane. `all-half-spaces`: every point begins with all half-spaces of "
         "the law, instead of adding those that are violated. `idle half-spaces`: none is dropped on the way. `ties`: a "
-        "matrix between nodes and unknowns, needed only for straight bars."
+        "matrix between nodes and unknowns, needed only for straight bars. `flow`, `strings`: rings may flow, and "
+        "become strings, under loads at which none does."
     )
     tables = (trial_table("Features switched on in curtains", trials),)
     return Section("Curtains", text, tables, (), verdict(trials))
@@ -106,6 +108,13 @@ def ties(law: MembraneLaw, cells: int) -> Row:
     plain = problem_of(law, "corners", cells)
     tied = replace(plain, fem=replace(plain.fem, tie=plain.fem.T))
     return compared("ties", "corners", (partial(height, plain), partial(height, tied)), plain)
+
+
+def flow(law: MembraneLaw, cells: int, strings: bool) -> Row:
+    """Rings that may flow, or flow until they are strings, under loads at which none does."""
+    plain, flowing = (problem_of(law, "corners", cells, **one) for one in ({}, {"kind": "plastic", "strings": strings}))
+    calls = partial(height, plain), partial(height, flowing)
+    return compared("strings" if strings else "flow", "corners", calls, plain)
 
 
 def by_option(law: MembraneLaw, feature: str, cells: int, without: PathOptions, with_it: PathOptions) -> Row:

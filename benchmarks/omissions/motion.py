@@ -10,7 +10,7 @@ from benchmarks.frame import Section, table
 from benchmarks.measure import Row, least_seconds
 from benchmarks.omissions.compare import trial, trial_table, verdict
 from benchmarks.problems import Array, loads
-from rve import Cell, DirectOptions
+from rve import Cell, DirectOptions, SimulationOptions
 from rve.geometry import cauchy_line_load
 from rve.locking import Equations, Equilibrium, solve_equilibrium, unit_loads
 from rve.locking.limits import polish, touching
@@ -20,6 +20,10 @@ LIGHT = 1e-6
 """Share of the mass that is left in a motion without inertia."""
 TOUCHING = 1e-4
 """Gap in r1 below which a contact that presses at the end of the motion is closed."""
+SLIPPERY = 1e-6
+"""Coefficient of friction that holds nothing back."""
+RESTS = 1e-5
+"""Of strains at rest in the scheme, which ends where its rings are slow."""
 SLOW = (45.0, 0.0)
 """The slowest case of the paper, besides the loads in `loads(15.0, 15.0)`."""
 ACROSS = "unbalanced force, s r1"
@@ -32,13 +36,14 @@ def measure(full: bool) -> Section:
     given = loads(15.0, 15.0)
     if full:
         given = np.append(given[0], SLOW[0]), np.append(given[1], SLOW[1])
-    trials = [moved(term, given) for term in ("damping", "inertia")]
+    trials = [*(moved(term, given) for term in ("damping", "inertia")), with_friction(loads(45.0, 30.0))]
     text = (
         "A locked state has no velocities. Here inertia and damping move the rings from the slack pose into it as in "
         f"the paper, with compliant contacts; then Newton's method closes these, for {len(given[0])} loads, alpha "
-        f"0:45:15 and beta 15:90:15{', and (45, 0), the slowest' if full else ''}. r1/r2 = 10."
+        f"0:45:15 and beta 15:90:15{', and (45, 0), the slowest' if full else ''}. "
+        "`friction`: contacts of the paper's scheme have next to none, and all its unknowns. r1/r2 = 10."
     )
-    damped, heavy = (row["_steps"] for row in trials)
+    damped, heavy = (row["_steps"] for row in trials[:2])
     conclusion = (
         f"{verdict(trials)} Within the paper's scheme the motion takes {heavy} steps, and {damped} without inertia: "
         "damping determines it, and inertia is kept only because the paper has it."
@@ -65,6 +70,16 @@ def moved(term: str, given: tuple[Array, Array]) -> Row:
     scene = f"{count} load{'s' * (count > 1)}"
     row = trial(term, scene, (without, with_it), change, TOLERANCE, "r1", ok=ok)
     return row | {"_steps": int(found.iterations.sum())}
+
+
+def with_friction(given: tuple[Array, Array]) -> Row:
+    """Friction too small to hold anything back in the paper's scheme, against none."""
+    options = SimulationOptions(), SimulationOptions(friction=SLIPPERY)
+    calls = (partial(simulate, Cell(), given, one) for one in options)
+    (plain, found), seconds = zip(*(least_seconds(call, repeats=1) for call in calls), strict=True)
+    ok = bool((np.append(plain.status, found.status) == "converged").all())
+    change = float(np.abs(found.E - plain.E).max())
+    return trial("friction", f"scheme, {len(found.E)} loads", seconds, change, RESTS, ok=ok)
 
 
 def locked_by_motion(given: tuple[Array, Array], equations: Equations, term: str) -> Equilibrium:

@@ -75,11 +75,13 @@ def test_laws_refuse_what_is_no_number(law):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["rigid", "elastic"])
+@pytest.mark.parametrize("kind", ex.KINDS)
 @pytest.mark.parametrize("name", ex.curtain_tables())
 def test_curtains_are_solved_or_say_why_not(name, kind):
     row = ex.curtain_row(name, ex.curtain_tables()[name], LAW, kind)
-    if name in ("corners drawn apart to 1.6", "corners drawn apart to 3"):
+    if (name, kind) == ("a point load of 1e+06 N", "plastic"):
+        assert row[ex.STATUS] == "collapsed at 0.00014 of the loads"
+    elif kind != "plastic" and name in ("corners drawn apart to 1.6", "corners drawn apart to 3"):
         assert row[ex.STATUS].startswith("infeasible: ")
     else:
         assert row[ex.STATUS] == "converged"

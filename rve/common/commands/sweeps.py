@@ -7,13 +7,14 @@ depend on each other, so that files are the same to the bit for any number of wo
 
 import io
 import os
+import pickle
 import signal
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
-from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
+from contextlib import AbstractContextManager, ExitStack, contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from importlib import import_module
 from multiprocessing import active_children, get_context, parent_process
@@ -23,7 +24,7 @@ from typing import Any
 import click
 
 from rve.common.commands.command_line import answer, ending, options, say
-from rve.common.errors import InputError, noted_if_stopped, require
+from rve.common.errors import InputError, NotConverged, noted_if_stopped, require
 from rve.common.files import PLUGINS, Cache, JsonObject, checksum, versions, write_text
 from rve.common.plugins import forget_plugins, load_plugin
 from rve.common.progress import tell
@@ -33,7 +34,7 @@ MARKS = ".sweep"
 """Folder of what is known of finished items, inside that of the sweep."""
 CONNECT_S = 10.0
 _WITHOUT = {3: "all is in place but a picture or report; run it alone to see why"}
-LOST = "its worker was lost, perhaps for lack of memory: the same sweep, with fewer of them, goes on"
+LOST = "a worker was lost, perhaps for lack of memory: the same command with fewer of them goes on"
 
 
 Row = dict[str, Any]
@@ -113,9 +114,8 @@ def sweep(
     begun = time.monotonic()
     tell(f"sweep, {len(ended)} of {len(items)} done")
     kept = f"what is finished is kept in {out}, and the same command goes on from there"
-    pool = side_by_side(min(jobs, len(left) or 1)) if cluster is None else _cluster(cluster)
-    with noted_if_stopped(kept), pool as workers:
-        futures = {workers.submit(run_item, replace(item, marks=out / MARKS)): item for item in left}
+    with noted_if_stopped(kept), workers(jobs, cluster, len(left)) as pool:
+        futures = {pool.submit(run_item, replace(item, marks=out / MARKS)): item for item in left}
         for future in as_completed(futures):
             item = futures[future]
             error = future.exception()
@@ -132,30 +132,42 @@ def sweep(
     return [ended[item.name] for item in items]
 
 
+def workers(jobs: int, cluster: str | None, tasks: int = 1000) -> AbstractContextManager[Executor]:
+    """What runs `tasks`: processes of this machine or, at the address of its scheduler, a Dask cluster, whose workers
+    get what is lost with one of them again. NotConverged where none is left for it."""
+    if cluster is not None and jobs > 1:
+        raise InputError("--jobs and --cluster are two ways to run side by side: give one")
+    return side_by_side(min(jobs, tasks or 1)) if cluster is None else _cluster(cluster)
+
+
 @contextmanager
 def _cluster(address: str) -> Iterator[Executor]:
     """Workers of a Dask scheduler; InputError if none answers."""
     require("distributed", "cluster", "--cluster", "leave it out")
-    from distributed import Client
+    from distributed import Client, KilledWorker
 
     try:
         client = Client(address, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
         raise InputError(f"--cluster = {address}: no Dask scheduler answers there: {error}") from error
     with client:
-        # How often an item is begun again whose worker on a cluster was lost.
-        yield client.get_executor(pure=False, retries=3)
+        try:
+            # How often an item is begun again whose worker on a cluster was lost.
+            yield client.get_executor(pure=False, retries=3)
+        except KilledWorker as error:
+            raise NotConverged(LOST) from error
 
 
 @contextmanager
 def side_by_side(jobs: int) -> Iterator[Executor]:
     """Worker processes that end with the block, at once where it is left early, and when this process ends."""
-    pool = ProcessPoolExecutor(
-        jobs, mp_context=get_context("spawn"), initializer=_begin_worker, initargs=(list(PLUGINS),)
-    )
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_begin_worker)
     with pool, ExitStack() as early:
         early.callback(_end_children)
-        yield pool
+        try:
+            yield pool
+        except BrokenExecutor as error:
+            raise NotConverged(LOST) from error
         early.pop_all()
 
 
@@ -165,10 +177,22 @@ def _end_children() -> None:
         child.terminate()
 
 
-def _begin_worker(plugins: Sequence[str]) -> None:
-    """Let this worker know the plugins of its parent, and end at once when that does, which alone handles Ctrl-C."""
-    for path in plugins:
-        load_plugin(path)
+def submit(pool: Executor, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+    """A call by a worker, which first learns the plugins of this process, whose classes may be among its arguments."""
+    return pool.submit(_call, list(PLUGINS), pickle.dumps((function, arguments)))
+
+
+def _call(plugins: list[str], call: bytes) -> Any:
+    if [*PLUGINS] != plugins:
+        forget_plugins()
+        for path in plugins:
+            load_plugin(path)
+    function, arguments = pickle.loads(call)
+    return function(*arguments)
+
+
+def _begin_worker() -> None:
+    """Let this worker end at once when its parent does, which alone handles Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
 
@@ -192,10 +216,11 @@ def further_options(words: Sequence[str], given: Sequence[str]) -> list[str]:
     return found
 
 
+cluster_option = click.option("--cluster", metavar="ADDRESS", help="Dask scheduler, in place of processes here.")
 sweep_options = options(
     click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder to fill."),
     click.option("--jobs", type=click.IntRange(1, 1000), default=1, show_default=True, help="Processes side by side."),
-    click.option("--cluster", metavar="ADDRESS", help="Dask scheduler, instead of processes on this machine."),
+    cluster_option,
 )
 """The options of a command that runs a sweep."""
 
@@ -209,8 +234,6 @@ def run_sweep(
     A row holds name, labels, exit_code, what `columns` takes from the record, and message. Options that the command of
     an item has not are refused before the first one runs. then: is called with the rows, of which some may have failed.
     """
-    if cluster is not None and jobs > 1:
-        raise InputError("--jobs and --cluster are two ways to run a sweep: give one")
     plugins = [f"--plugin={path}" for path in PLUGINS]
     items = [replace(item, arguments=(*item.arguments, *plugins)) for item in items]
     for item in items:
