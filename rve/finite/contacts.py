@@ -24,6 +24,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rve.common import Array, Flags, Index, Rows
+from rve.finite.wide import NO_WIDE, WideContacts, point_contacts, soft_pairs, widened
 from rve.geometry.ring_pair import (
     Minima,
     are_linked,
@@ -115,44 +116,13 @@ class MeshPose:
 
 
 @dataclass(frozen=True, eq=False)
-class WideContacts(Rows):
-    """Points on rings a over which wide contacts are spread: contact (k,), a row of the contacts; points; gap (k,);
-    angle (k,): the angle along ring a that each point stands for.
-
-    A pair with a soft minimum is one wide contact, with the gap g = (sum angle gap_k^-p)^(-1/p) in place of the least
-    gap: smooth where minima split or merge, zero where one touches. Its force is spread over the points in the shares
-    dg / dgap_k = angle (g / gap_k)^(p + 1), none of which pulls, and sum of shares times gaps is g.
-    """
-
-    contact: Index
-    points: Minima
-    gap: Array
-    angle: Array
-
-    def share(self, mean: Array) -> Array:
-        """dg / dgap_k (k,); mean (m,): gaps of all contacts."""
-        return np.asarray(self.angle * (mean[self.contact] / self.gap) ** (POWER + 1))
-
-    def mean(self, gap: Array) -> Array:
-        """g (m,) of wide contacts, inf of others, at gaps (k,) of the points; the least one where it is negative."""
-        m = int(self.contact.max(initial=-1)) + 1
-        least, total = np.full(m, np.inf), np.zeros(m)
-        np.minimum.at(least, self.contact, gap)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            np.add.at(total, self.contact, self.angle * (np.maximum(least, 0.0)[self.contact] / gap) ** POWER)
-            return np.where(least > 0.0, least * total ** (-1.0 / POWER), least)
-
-
-POWER = 2
-
-
-@dataclass(frozen=True, eq=False)
 class MeshContacts:
     """Contacts of a pose; wire = r2/r1; reach: the gap up to which contacts count.
 
     a, b (p,): near pairs, sorted by key; key (p,); minima: their local minima, sorted by pair, `minima.pair` a row of a
     and b; fixed (m,): contacts at a fixed point of ring a, and those with walls; gap (m,); deepest (p,): smallest gap
-    of each pair, inf beyond the reach. Pairs whose b is not a ring are those with half-spaces and balls.
+    of each pair, inf beyond the reach; wide: points of wide contacts, whose gap is a mean and whose minimum is the
+    deepest. Pairs whose b is not a ring are those with half-spaces and balls.
     """
 
     pose: MeshPose
@@ -165,7 +135,7 @@ class MeshContacts:
     deepest: Array
     a: Index
     b: Index
-    nodes: WideContacts = field(default_factory=lambda: NO_NODES)
+    wide: WideContacts = NO_WIDE
 
     @property
     def wires(self) -> Array:
@@ -198,22 +168,24 @@ class MeshContacts:
         """Minima of each pair (p,)."""
         return np.bincount(self.minima.pair, minlength=len(self.a))
 
-    def spread_out(self, force: Array, dforce: Array, dgap: Array, dpoint: Array) -> tuple[MeshContacts, Array]:
-        """The contacts with the points of wide ones in their place, and the forces there, after linear changes."""
-        at, row = self.nodes, self.nodes.contact
-        share = at.share(self.gap)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            change = dforce[row] / force[row] + (POWER + 1) * (dgap[row] / self.gap[row] - dpoint / at.gap)
-        at_points = np.maximum(force[row] * share * (1.0 + change), 0.0)
-        plain = np.ones(len(self.gap), bool)
-        plain[row] = False
-        keep = at_points > 1e-13
-        minima = self.minima.take(plain).join([at.points.take(keep)])
-        order = np.argsort(minima.pair, kind="stable")
-        fixed, gap = np.append(self.fixed[plain], np.ones(keep.sum(), bool)), np.append(self.gap[plain], at.gap[keep])
-        out = np.append((force + dforce)[plain], at_points[keep])
-        new = replace(self, minima=minima.take(order), fixed=fixed[order], gap=gap[order], nodes=NO_NODES)
-        return new, out[order]
+    @property
+    def wide_keys(self) -> Index:
+        """Keys of the pairs with wide contacts."""
+        return self.key[np.unique(self.wide.points.pair)]
+
+    @property
+    def is_wide(self) -> Flags:
+        """Which contacts (m,) are wide."""
+        out = np.zeros(len(self.gap), dtype=bool)
+        out[self.wide.contact] = True
+        return out
+
+    @property
+    def whole(self) -> Array:
+        """Sum (m,) of the forces at the points of each contact over the force of its gap, 1 for others than wide."""
+        out = np.ones(len(self.gap))
+        out[self.wide.rows] = self.wide.sums(self.wide.shares(self.gap))
+        return out
 
     def pair_max(self, values: Array) -> Array:
         """The greater of the values (n,) of both rings of each pair, (p,)."""
@@ -231,24 +203,8 @@ class MeshContacts:
     def share_forces(self, total: Array, mu: Array | float) -> Array:
         """Forces (m,): the total force (p,) of each pair in the proportions of the central path; its forces if none."""
         central, pair = self.central_forces(mu), self.minima.pair
-        total = total / np.bincount(pair, self.total * central, len(total)) * np.bincount(pair, central, len(total)) if len(self.nodes.contact) else total
         per_pair = np.bincount(pair, central, minlength=len(self.key))
         return np.where(total[pair] > 0.0, total[pair] * central / np.maximum(per_pair[pair], 1e-300), central)
-
-    @property
-    def wide_keys(self) -> Index:
-        """Keys of the pairs with wide contacts."""
-        return self.key[np.unique(self.nodes.points.pair)]
-
-    @property
-    def total(self) -> Array:
-        """Sum (m,) of the forces at the points of each contact, over its force."""
-        out = np.ones(len(self.gap))
-        if len(self.nodes.contact):
-            share = self.nodes.share(self.gap)
-            rows = np.unique(self.nodes.contact)
-            out[rows] = np.bincount(self.nodes.contact, share, minlength=len(out))[rows]
-        return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,7 +228,7 @@ class FixedPoints(Rows):
         row, rho = row[row >= 0], self.rho[row >= 0]
         a, b = np.divmod(key[row], len(pose.x))
         d, na, nb = pose.x[b] - pose.x[a], pose.normal[a], pose.normal[b]
-        return _point_contacts(row, foot_on_circle(rho, na, pose.radii_of(a)), d, nb, pose.radii_of(b))
+        return point_contacts(row, foot_on_circle(rho, na, pose.radii_of(a)), d, nb, pose.radii_of(b))
 
 
 def make_fixed_points(con: MeshContacts, pairs: Index, soft: SoftMinima = SOFT) -> FixedPoints:
@@ -287,71 +243,6 @@ def make_fixed_points(con: MeshContacts, pairs: Index, soft: SoftMinima = SOFT) 
 NO_POINTS = FixedPoints(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))
 
 
-def _no_minima() -> Minima:
-    none, three = np.zeros(0), np.zeros((0, 3))
-    return Minima(np.zeros(0, np.intp), three, three, three, none, none)
-
-
-NO_NODES = WideContacts(np.zeros(0, np.intp), _no_minima(), np.zeros(0), np.zeros(0))
-import os
-FLAT = float(os.environ.get('FLAT', '1e3'))
-STEP, SMOOTH, BACK, WIDE, STAY = 0.4, 0.7, 1.5, float(os.environ.get('WIDE','0.4')), float(os.environ.get('STAY','0.7'))
-
-
-def _widened(
-    minima: Minima, d: Array, na: Array, nb: Array, rb: Array, wires: Array, soft: SoftMinima, was_wide: Flags
-) -> tuple[Minima, WideContacts, Array]:
-    """Minima with one of each soft pair, the points of these, and gaps."""
-    gap = minima.distance - wires[minima.pair]
-    first = np.searchsorted(minima.pair, np.arange(len(d) + 1))
-    is_soft = np.zeros(len(d), bool)
-    bend = np.maximum(minima.curvature, 0.0) / minima.distance
-    limit = np.where(was_wide, STAY, WIDE)[minima.pair]
-    is_soft[minima.pair[(minima.curvature < limit) & (norm(minima.rho_a)>0)]] = True
-    least=np.full(len(d),np.inf); np.minimum.at(least,minima.pair,gap)
-    is_soft&=least>0
-    pairs = np.flatnonzero(is_soft)
-    top, low = first[pairs], first[pairs + 1] - 1  # at most two minima, the deepest first
-    stiff = np.maximum(minima.curvature, 0.0) / minima.distance
-    width = SMOOTH * np.sqrt(np.sqrt(stiff**2 + 4.0 * np.maximum(gap, 1e-14)) - stiff) / np.maximum(norm(minima.rho_a), 1e-9)
-    width = np.maximum(width, 1e-7)
-    tau = cross(na[pairs], minima.rho_a[top])
-    turn = np.arctan2(dot(minima.rho_a[low], tau), dot(minima.rho_a[low], minima.rho_a[top]))
-    has_two = (low > top)
-    s1, s2 = width[top][:, None], np.where(has_two, width[low], 1.0)[:, None]
-    delta = turn[:, None]
-
-    two = has_two[:, None]
-
-    def number(phi: Array) -> Array:
-        return np.arcsinh(phi / s1) + np.where(two, np.arcsinh((phi - delta) / s2), 0.0) + BACK * phi
-
-    ends = number(np.full((len(pairs), 1), -np.pi)), number(np.full((len(pairs), 1), np.pi))
-    count = int(np.ceil(float((ends[1] - ends[0]).max(initial=0.0)) / STEP)) + 1
-    share = (np.arange(count) + 0.5) / count
-    t = ends[0] + (ends[1] - ends[0]) * share
-    lo, hi = np.full_like(t, -np.pi), np.full_like(t, np.pi)
-    for _ in range(60):
-        mid = 0.5 * (lo + hi)
-        below = number(mid) < t
-        lo, hi = np.where(below, mid, lo), np.where(below, hi, mid)
-    phi = 0.5 * (lo + hi)
-    density = 1.0 / np.sqrt(phi**2 + s1**2) + np.where(two, 1.0 / np.sqrt((phi - delta) ** 2 + s2**2), 0.0) + BACK
-    angle = ((ends[1] - ends[0]) / count / density).ravel()
-    rho = (np.cos(phi)[..., None] * minima.rho_a[top][:, None] + np.sin(phi)[..., None] * tau[:, None]).reshape(-1, 3)
-    pair = np.repeat(pairs, count)
-    points = _point_contacts(pair, rho, d[pair], nb[pair], rb[pair])
-    keep = ~is_soft[minima.pair]
-    keep[top] = True
-    rank = np.cumsum(keep) - 1
-    nodes = WideContacts(np.repeat(rank[top], count), points, points.distance - wires[pair], angle)
-    gap = gap[keep]
-    if len(pairs):
-        mean = nodes.mean(nodes.gap)
-        gap[rank[top]] = mean[rank[top]]
-    return minima.take(keep), nodes, gap
-
-
 def find_mesh_contacts(
     pose: MeshPose,
     linked: Index,
@@ -361,13 +252,13 @@ def find_mesh_contacts(
     guard_points: bool = True,
     fixed_points: FixedPoints = NO_POINTS,
     soft: SoftMinima = SOFT,
-    wide: bool = False,
-    kept: Index = np.zeros(0, np.int64),
+    wide: Index | None = None,
 ) -> MeshContacts:
     """All contacts whose gap is below `reach` (r1); wire = r2/r1.
 
     Pairs are those of rings whose centres are near enough for that, the linked ones (m, 2), and rings near walls.
     guard_points: whether points beside soft minima are contacts as well. `fixed_points` replace the minima near them.
+    wide (k,): keys of pairs that have wide contacts so far, which soft ones then get; None if none may.
     """
     n, rings, most = len(pose.x), pose.rings, 2.0 * float(pose.radii.max() + wire * pose.wires.max()) + reach
     near = cKDTree(pose.x[:rings]).query_pairs(most, output_type="ndarray").astype(np.int64)
@@ -392,14 +283,16 @@ def find_mesh_contacts(
     minima = parts[0].join(parts[1:])
     deepest = np.full(len(key), np.inf)
     np.minimum.at(deepest, minima.pair, minima.distance - wires[minima.pair])
+    points = NO_WIDE
+    if wide is not None:
+        soft_ones = soft_pairs(minima, wires, np.isin(key, wide))
+        if len(soft_ones):
+            minima, points = widened(minima, soft_ones, (d, na, nb, rb), wires)
     at_points = fixed_points.minima(pose, key)
     if len(fixed_points.key):
         tree = cKDTree(_located(fixed_points.key, fixed_points.rho))
         distance, point = tree.query(_located(key[minima.pair], minima.rho_a))
         minima = minima.take(distance >= fixed_points.spacing[point])
-    nodes, gaps = NO_NODES, minima.distance - wires[minima.pair]
-    if wide:
-        minima, nodes, gaps = _widened(minima, d, na, nb, rb, wires, soft, np.isin(key, kept))
     free, zero, g = len(minima.pair), np.zeros((len(at_wall), 3)), g[is_near]
     others = [at_points, *([_guard_points(minima, d, na, nb, rb, wires, reach, soft)] if guard_points else ())]
     others.append(Minima(at_wall, -nb[at_wall], zero, zero, g + wires[at_wall], np.ones(len(g))).take(g < reach))
@@ -408,11 +301,9 @@ def find_mesh_contacts(
     minima, fixed = minima.take(order), order >= free
     gap = minima.distance - wires[minima.pair]
     np.minimum.at(deepest, minima.pair, gap)
-    gap = np.where(fixed, gap, np.append(gaps, np.zeros(len(gap) - free))[order])
-    back = np.empty_like(order)
-    back[order] = np.arange(len(order))
-    nodes = replace(nodes, contact=back[nodes.contact])
-    return MeshContacts(pose, wire, reach, key, minima, fixed, gap, deepest, a, b, nodes)
+    points = replace(points, contact=np.argsort(order)[points.contact])
+    gap[points.rows] = points.mean(points.gap)
+    return MeshContacts(pose, wire, reach, key, minima, fixed, gap, deepest, a, b, points)
 
 
 def _guard_points(
@@ -422,7 +313,7 @@ def _guard_points(
     is_soft, angle = soft.angles(minima, wires[minima.pair], soft.growth)
     rows, angle = minima.take(is_soft), np.minimum(angle[is_soft], 0.4)
     pair = np.tile(rows.pair, 2)
-    points = _point_contacts(pair, _points_beside(rows, na, np.stack([angle, -angle])), d[pair], nb[pair], rb[pair])
+    points = point_contacts(pair, _points_beside(rows, na, np.stack([angle, -angle])), d[pair], nb[pair], rb[pair])
     return points.take(points.distance <= wires[pair] + reach)
 
 
@@ -432,16 +323,9 @@ def _points_beside(minima: Minima, na: Array, angle: Array) -> Array:
     return np.asarray(np.cos(angle)[..., None] * minima.rho_a + np.sin(angle)[..., None] * tau).reshape(-1, 3)
 
 
-def _point_contacts(pair: Index, rho_a: Array, d: Array, nb: Array, rb: Array) -> Minima:
-    """Points (m, 3) of ring a with the nearest points of ring b, as contacts of the pairs (m,)."""
-    rho_b = foot_on_circle(rho_a - d, nb, rb)
-    w = d + rho_b - rho_a
-    distance = norm(w)
-    return Minima(pair, w / distance[:, None], rho_a, rho_b, distance, np.ones(len(pair)))
-
-
 def track_gaps(old: MeshContacts, pose: MeshPose) -> Array:
-    """Gaps (m,) at the minima near the contacts of `old` in another pose, inf for fixed points.
+    """Gaps (m,) at the minima near the contacts of `old` in another pose, of wide ones at their points; inf for fixed
+    points.
 
     Much cheaper than `find_mesh_contacts`. None is less than the least gap of its pair, so a closed one rejects a step.
     """
@@ -450,13 +334,10 @@ def track_gaps(old: MeshContacts, pose: MeshPose) -> Array:
     d, na, nb = pose.x[old.b] - pose.x[old.a], pose.normal[old.a], pose.normal[old.b]
     near, radii = old.minima.take(free), (pose.radii_of(old.a), pose.radii_of(old.b))
     gap[free] = followed_minima(near, d, na, nb, radii).distance - old.wires[near.pair]
-    nodes = old.nodes
-    if len(nodes.contact):
-        pair = nodes.points.pair
-        rho = foot_on_circle(nodes.points.rho_a, na[pair], radii[0][pair])
-        at = _point_contacts(pair, rho, d[pair], nb[pair], radii[1][pair]).distance - old.wires[pair]
-        mean, rows = nodes.mean(at), np.unique(nodes.contact)
-        gap[rows] = np.where(gap[rows] > 0.0, mean[rows], gap[rows])
+    pair, rows = old.wide.points.pair, old.wide.rows
+    rho = foot_on_circle(old.wide.points.rho_a, na[pair], radii[0][pair])
+    points = point_contacts(pair, rho, d[pair], nb[pair], radii[1][pair])
+    gap[rows] = np.where(gap[rows] > 0.0, old.wide.mean(points.distance - old.wires[pair]), gap[rows])
     return gap
 
 
@@ -496,14 +377,13 @@ def transfer_forces(old: MeshContacts, force: Array, new: MeshContacts, mu: Arra
     central path; if there are none, the new contact nearest to it takes it. The others get the forces of the path.
     """
     central, parent, heir = new.central_forces(mu), nearest_contacts(new, old), nearest_contacts(old, new)
-    whole = new.total
-    central, force = central * whole, force * old.total
     rows, out = np.flatnonzero(parent >= 0), np.zeros(len(new.gap))
+    central, force = central * new.whole, force * old.whole
     total = np.bincount(parent[rows], central[rows], minlength=len(force))
     out[rows] = force[parent[rows]] * central[rows] / total[parent[rows]]
     orphans = np.flatnonzero((total == 0.0) & (heir >= 0))
     np.add.at(out, heir[orphans], force[orphans])
-    return np.where(out > 0.0, out, central) / whole
+    return np.where(out > 0.0, out, central) / new.whole
 
 
 def wall_gaps(
