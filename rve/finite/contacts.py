@@ -335,7 +335,9 @@ def track_gaps(old: MeshContacts, pose: MeshPose) -> Array:
     near, radii = old.minima.take(free), (pose.radii_of(old.a), pose.radii_of(old.b))
     gap[free] = followed_minima(near, d, na, nb, radii).distance - old.wires[near.pair]
     pair, rows = old.wide.points.pair, old.wide.rows
-    rho = foot_on_circle(old.wide.points.rho_a, na[pair], radii[0][pair])
+    before, rho = old.pose.normal[old.a[pair]], old.wide.points.rho_a
+    turn = cross(before, na[pair])
+    rho = rho + cross(turn, rho) + cross(turn, cross(turn, rho)) / (1.0 + dot(before, na[pair]))[:, None]
     points = point_contacts(pair, rho, d[pair], nb[pair], radii[1][pair])
     gap[rows] = np.where(gap[rows] > 0.0, old.wide.mean(points.distance - old.wires[pair]), gap[rows])
     return gap
