@@ -30,7 +30,6 @@ from macro_fem.scene.tables import Bar, Combination, Item, Wind
 from macro_fem.summary import CurtainSummary
 from rve import solve_table, with_rings
 from rve.common import NO_CACHE, Cache, InputError, JsonObject, checksum, digits, part_of, tell, versions
-from rve.common.commands.sweeps import submit
 
 VARIED: dict[str, tuple[str, str, Callable[[Item], bool]]] = {
     "pitch": ("mm", "hooks or runners", lambda item: isinstance(item, Hanging) and item.has_hooks),
@@ -235,7 +234,7 @@ class Trials:
                     solved = answer_of(*task)
                 yield key, solved
             return
-        futures = {submit(self.pool, answer_of, *task): key for key, task in tasks.items()}
+        futures = {self.pool.submit(answer_of, *task): key for key, task in tasks.items()}
         left = set(futures)
         while left:
             tell(*self._told(futures[next(iter(left))], len(left)))

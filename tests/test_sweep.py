@@ -243,7 +243,7 @@ def test_a_stopped_sweep_ends_and_keeps_what_is_finished(tmp_path, number, code,
 def test_an_idle_worker_that_is_stopped_says_nothing(capfd):
     """A command has run in it before, which listens to the same signal."""
     before = active_children()
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_begin_worker) as pool:
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_begin_worker, initargs=([],)) as pool:
         item = SweepItem("worker", "rve", ("support", "--S", "1,0"), Path("none"))
         assert pool.submit(run_item, item).result().code == 2
         (worker,) = set(active_children()) - set(before)

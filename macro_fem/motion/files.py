@@ -5,7 +5,6 @@ drawn when the run has ended.
 """
 
 import hashlib
-import shutil
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, replace
@@ -29,7 +28,7 @@ from macro_fem.rings.every_ring import EveryRing
 from macro_fem.scene.scene import Scene
 from macro_fem.summary import Summary
 from rve.common import InputError, check_belongs, check_out_file, csv_text, json_text, read_json_object
-from rve.common.files import HIDDEN, UNREADABLE, atomic_path, checksum, job, write_text
+from rve.common.files import UNREADABLE, atomic_path, checksum, clear_parts, job, write_text
 
 KEPT, FORMAT = "motion.npz", 2
 """What a run goes on from, and its format."""
@@ -134,8 +133,7 @@ class Log:
         except (OSError, ValueError) as error:
             raise InputError(f"--continue: {table} does not hold the {count} steps of {path}: {again}") from error
         self.files = before["files"]
-        for left in self.out.glob(f"{HIDDEN}*"):  # by a process that was killed
-            shutil.rmtree(left, ignore_errors=True)
+        clear_parts(self.out)
         self._remove([*PICTURES, FORCES])  # of fewer moments
         for number in kept["shown"].tolist():
             alone, one = names(number)[1], _part(kept, f"shown_{number}_")

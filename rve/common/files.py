@@ -126,6 +126,12 @@ def versions(*more: str) -> dict[str, str]:
     return found | {f"plugin {Path(path).name}": content for path, content in PLUGINS.items()}
 
 
+def clear_parts(folder: Path) -> None:
+    """Remove what processes that were killed had not yet put into its place in a folder."""
+    for left in folder.glob(f"{HIDDEN}*"):
+        shutil.rmtree(left, ignore_errors=True)
+
+
 def sidecar_path(path: AnyPath) -> Path:
     """The JSON beside a table file, of the same name."""
     table = Path(path)

@@ -1,6 +1,9 @@
 """The frame of the reports: every section can be run, and is made anew where its numerics are not today's."""
 
+import pytest
+
 import benchmarks.__main__ as command
+from benchmarks import scaling
 from benchmarks.frame import Section
 from benchmarks.numerics import _read, fingerprint
 
@@ -34,3 +37,10 @@ def test_what_is_not_of_todays_numerics_is_stale_and_made_anew(tmp_path, monkeyp
         command.main.main(asked, standalone_mode=False)
         assert measured == made
     assert command.stale() == []
+
+
+def test_the_time_of_many_tables_is_start_and_rounds_times_the_time_of_one(monkeypatch):
+    monkeypatch.setattr(scaling, "_swept", lambda count, way: 3.0 + 2.0 * -(-count // (2 if way else 1)))
+    rows = scaling.side_by_side()
+    assert [(row["s a table"], row["start, s"]) for row in rows] == [pytest.approx((2.0, 3.0))] * 3
+    assert scaling.thousand(rows).startswith("a laptop, 2 workers, 1003 s; a node, 64 workers, 35 s; a cluster, 1,024 ")

@@ -7,15 +7,15 @@ depend on each other, so that files are the same to the bit for any number of wo
 
 import io
 import os
-import pickle
 import signal
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
 from contextlib import AbstractContextManager, ExitStack, contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
@@ -25,7 +25,7 @@ import click
 
 from rve.common.commands.command_line import answer, ending, options, say
 from rve.common.errors import InputError, NotConverged, noted_if_stopped, require
-from rve.common.files import PLUGINS, Cache, JsonObject, checksum, versions, write_text
+from rve.common.files import PLUGINS, Cache, JsonObject, checksum, clear_parts, versions, write_text
 from rve.common.plugins import forget_plugins, load_plugin
 from rve.common.progress import tell
 from rve.common.texts import csv_text, read_json_object, recorded_reads
@@ -114,7 +114,7 @@ def sweep(
     begun = time.monotonic()
     tell(f"sweep, {len(ended)} of {len(items)} done")
     kept = f"what is finished is kept in {out}, and the same command goes on from there"
-    with noted_if_stopped(kept), workers(jobs, cluster, len(left)) as pool:
+    with noted_if_stopped(kept), workers(jobs, cluster, len(left), out) as pool:
         futures = {pool.submit(run_item, replace(item, marks=out / MARKS)): item for item in left}
         for future in as_completed(futures):
             item = futures[future]
@@ -132,12 +132,14 @@ def sweep(
     return [ended[item.name] for item in items]
 
 
-def workers(jobs: int, cluster: str | None, tasks: int = 1000) -> AbstractContextManager[Executor]:
-    """What runs `tasks`: processes of this machine or, at the address of its scheduler, a Dask cluster, whose workers
-    get what is lost with one of them again. NotConverged where none is left for it."""
+def workers(
+    jobs: int, cluster: str | None, tasks: int = 1000, out: Path | None = None
+) -> AbstractContextManager[Executor]:
+    """What runs `tasks`, which write into the folder `out`: processes of this machine or, at the address of its
+    scheduler, a Dask cluster, whose workers get what is lost with one again. NotConverged where none is left for it."""
     if cluster is not None and jobs > 1:
         raise InputError("--jobs and --cluster are two ways to run side by side: give one")
-    return side_by_side(min(jobs, tasks or 1)) if cluster is None else _cluster(cluster)
+    return _side_by_side(min(jobs, tasks or 1), out) if cluster is None else _cluster(cluster)
 
 
 @contextmanager
@@ -151,6 +153,7 @@ def _cluster(address: str) -> Iterator[Executor]:
     except (OSError, ValueError) as error:
         raise InputError(f"--cluster = {address}: no Dask scheduler answers there: {error}") from error
     with client:
+        client.register_worker_callbacks(partial(_learn, list(PLUGINS)))
         try:
             # How often an item is begun again whose worker on a cluster was lost.
             yield client.get_executor(pure=False, retries=3)
@@ -159,11 +162,13 @@ def _cluster(address: str) -> Iterator[Executor]:
 
 
 @contextmanager
-def side_by_side(jobs: int) -> Iterator[Executor]:
+def _side_by_side(jobs: int, out: Path | None) -> Iterator[Executor]:
     """Worker processes that end with the block, at once where it is left early, and when this process ends."""
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_begin_worker)
+    pool = ProcessPoolExecutor(
+        jobs, mp_context=get_context("spawn"), initializer=_begin_worker, initargs=(list(PLUGINS),)
+    )
     with pool, ExitStack() as early:
-        early.callback(_end_children)
+        early.callback(_end_children, out)
         try:
             yield pool
         except BrokenExecutor as error:
@@ -171,28 +176,27 @@ def side_by_side(jobs: int) -> Iterator[Executor]:
         early.pop_all()
 
 
-def _end_children() -> None:
-    """End all workers, for which a pool waits: left running, one may end in a traceback."""
-    for child in active_children():
+def _end_children(out: Path | None) -> None:
+    """End all workers, for which a pool waits: left running, one may end in a traceback. What they have half written
+    goes."""
+    for child in (ended := active_children()):
         child.terminate()
+    for child in ended:
+        child.join()
+    if out is not None:
+        clear_parts(out)
 
 
-def submit(pool: Executor, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-    """A call by a worker, which first learns the plugins of this process, whose classes may be among its arguments."""
-    return pool.submit(_call, list(PLUGINS), pickle.dumps((function, arguments)))
+def _learn(plugins: Sequence[str]) -> None:
+    """Let this process know the plugins of another one, whose classes come to it, and none that it knew before."""
+    forget_plugins()
+    for path in plugins:
+        load_plugin(path)
 
 
-def _call(plugins: list[str], call: bytes) -> Any:
-    if [*PLUGINS] != plugins:
-        forget_plugins()
-        for path in plugins:
-            load_plugin(path)
-    function, arguments = pickle.loads(call)
-    return function(*arguments)
-
-
-def _begin_worker() -> None:
-    """Let this worker end at once when its parent does, which alone handles Ctrl-C."""
+def _begin_worker(plugins: Sequence[str]) -> None:
+    """Let this worker know the plugins of its parent, and end at once when that does, which alone handles Ctrl-C."""
+    _learn(plugins)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
 
