@@ -285,9 +285,7 @@ def find_mesh_contacts(
     np.minimum.at(deepest, minima.pair, minima.distance - wires[minima.pair])
     points = NO_WIDE
     if wide is not None:
-        soft_ones = soft_pairs(minima, wires, np.isin(key, wide))
-        if len(soft_ones):
-            minima, points = widened(minima, soft_ones, (d, na, nb, rb), wires)
+        minima, points = widened(minima, soft_pairs(minima, wires, np.isin(key, wide)), (d, na, nb, rb), wires)
     at_points = fixed_points.minima(pose, key)
     if len(fixed_points.key):
         tree = cKDTree(_located(fixed_points.key, fixed_points.rho))

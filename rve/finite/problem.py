@@ -228,8 +228,8 @@ class ScaledProblem:
     linked (m, 2): pairs that interlink; wire = r2/r1; force (n, 3): dead forces; held (n, 3): which coordinates are
     held, at (n, 3): their places; motions (5 n, u): the coordinates by the free motions, rings on straight bars moving
     with the ends of their bar; guard_points, fixed_points: as of `find_mesh_contacts`, but no guard points where soft
-    pairs have `wide` contacts; guide (n, 3): places that pull
-    at the centres while mu is large, nan for none; load: sum of the loads, the scale of residuals; unit: of forces, N.
+    pairs have `wide` contacts; guide (n, 3): places that pull at the centres while mu is large, nan for none; load: sum
+    of the loads, the scale of residuals; unit: of forces, N.
     """
 
     linked: Index
