@@ -122,7 +122,9 @@ def fit(table: StrainTable | DataFrame, options: FitOptions | None = None) -> Fi
     rows = rows_from_table(table)
     found = normality(rows, options.normality)
     if not found.holds and options.contradictions == "list":
-        raise InputError(found.sentence())
+        solved = table.origin.options
+        first = "rows of --branches first need not be of largest work, solve the table with --branches largest; "
+        raise InputError(first * (solved is not None and solved.branches == "first") + found.sentence())
     if not found.holds:
         rows = without(rows, found) if options.contradictions == "drop" else mended(rows)
         found = normality(rows, options.normality)

@@ -24,6 +24,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rve.common import Array, Flags, Index, Rows
+from rve.finite.wide import NO_WIDE, WideContacts, point_contacts, soft_pairs, widened
 from rve.geometry.ring_pair import (
     Minima,
     are_linked,
@@ -120,7 +121,8 @@ class MeshContacts:
 
     a, b (p,): near pairs, sorted by key; key (p,); minima: their local minima, sorted by pair, `minima.pair` a row of a
     and b; fixed (m,): contacts at a fixed point of ring a, and those with walls; gap (m,); deepest (p,): smallest gap
-    of each pair, inf beyond the reach. Pairs whose b is not a ring are those with half-spaces and balls.
+    of each pair, inf beyond the reach; wide: points of wide contacts, whose gap is a mean and whose minimum is the
+    deepest. Pairs whose b is not a ring are those with half-spaces and balls.
     """
 
     pose: MeshPose
@@ -133,6 +135,7 @@ class MeshContacts:
     deepest: Array
     a: Index
     b: Index
+    wide: WideContacts = NO_WIDE
 
     @property
     def wires(self) -> Array:
@@ -164,6 +167,25 @@ class MeshContacts:
     def count(self) -> Index:
         """Minima of each pair (p,)."""
         return np.bincount(self.minima.pair, minlength=len(self.a))
+
+    @property
+    def wide_keys(self) -> Index:
+        """Keys of the pairs with wide contacts."""
+        return self.key[np.unique(self.wide.points.pair)]
+
+    @property
+    def is_wide(self) -> Flags:
+        """Which contacts (m,) are wide."""
+        out = np.zeros(len(self.gap), dtype=bool)
+        out[self.wide.contact] = True
+        return out
+
+    @property
+    def whole(self) -> Array:
+        """Sum (m,) of the forces at the points of each contact over the force of its gap, 1 for others than wide."""
+        out = np.ones(len(self.gap))
+        out[self.wide.rows] = self.wide.sums(self.wide.shares(self.gap))
+        return out
 
     def pair_max(self, values: Array) -> Array:
         """The greater of the values (n,) of both rings of each pair, (p,)."""
@@ -206,7 +228,7 @@ class FixedPoints(Rows):
         row, rho = row[row >= 0], self.rho[row >= 0]
         a, b = np.divmod(key[row], len(pose.x))
         d, na, nb = pose.x[b] - pose.x[a], pose.normal[a], pose.normal[b]
-        return _point_contacts(row, foot_on_circle(rho, na, pose.radii_of(a)), d, nb, pose.radii_of(b))
+        return point_contacts(row, foot_on_circle(rho, na, pose.radii_of(a)), d, nb, pose.radii_of(b))
 
 
 def make_fixed_points(con: MeshContacts, pairs: Index, soft: SoftMinima = SOFT) -> FixedPoints:
@@ -230,11 +252,13 @@ def find_mesh_contacts(
     guard_points: bool = True,
     fixed_points: FixedPoints = NO_POINTS,
     soft: SoftMinima = SOFT,
+    wide: Index | None = None,
 ) -> MeshContacts:
     """All contacts whose gap is below `reach` (r1); wire = r2/r1.
 
     Pairs are those of rings whose centres are near enough for that, the linked ones (m, 2), and rings near walls.
     guard_points: whether points beside soft minima are contacts as well. `fixed_points` replace the minima near them.
+    wide (k,): keys of pairs that have wide contacts so far, which soft ones then get; None if none may.
     """
     n, rings, most = len(pose.x), pose.rings, 2.0 * float(pose.radii.max() + wire * pose.wires.max()) + reach
     near = cKDTree(pose.x[:rings]).query_pairs(most, output_type="ndarray").astype(np.int64)
@@ -259,6 +283,9 @@ def find_mesh_contacts(
     minima = parts[0].join(parts[1:])
     deepest = np.full(len(key), np.inf)
     np.minimum.at(deepest, minima.pair, minima.distance - wires[minima.pair])
+    points = NO_WIDE
+    if wide is not None:
+        minima, points = widened(minima, soft_pairs(minima, wires, np.isin(key, wide)), (d, na, nb, rb), wires)
     at_points = fixed_points.minima(pose, key)
     if len(fixed_points.key):
         tree = cKDTree(_located(fixed_points.key, fixed_points.rho))
@@ -272,7 +299,9 @@ def find_mesh_contacts(
     minima, fixed = minima.take(order), order >= free
     gap = minima.distance - wires[minima.pair]
     np.minimum.at(deepest, minima.pair, gap)
-    return MeshContacts(pose, wire, reach, key, minima, fixed, gap, deepest, a, b)
+    points = replace(points, contact=np.argsort(order)[points.contact])
+    gap[points.rows] = points.mean(points.gap)
+    return MeshContacts(pose, wire, reach, key, minima, fixed, gap, deepest, a, b, points)
 
 
 def _guard_points(
@@ -282,7 +311,7 @@ def _guard_points(
     is_soft, angle = soft.angles(minima, wires[minima.pair], soft.growth)
     rows, angle = minima.take(is_soft), np.minimum(angle[is_soft], 0.4)
     pair = np.tile(rows.pair, 2)
-    points = _point_contacts(pair, _points_beside(rows, na, np.stack([angle, -angle])), d[pair], nb[pair], rb[pair])
+    points = point_contacts(pair, _points_beside(rows, na, np.stack([angle, -angle])), d[pair], nb[pair], rb[pair])
     return points.take(points.distance <= wires[pair] + reach)
 
 
@@ -292,16 +321,9 @@ def _points_beside(minima: Minima, na: Array, angle: Array) -> Array:
     return np.asarray(np.cos(angle)[..., None] * minima.rho_a + np.sin(angle)[..., None] * tau).reshape(-1, 3)
 
 
-def _point_contacts(pair: Index, rho_a: Array, d: Array, nb: Array, rb: Array) -> Minima:
-    """Points (m, 3) of ring a with the nearest points of ring b, as contacts of the pairs (m,)."""
-    rho_b = foot_on_circle(rho_a - d, nb, rb)
-    w = d + rho_b - rho_a
-    distance = norm(w)
-    return Minima(pair, w / distance[:, None], rho_a, rho_b, distance, np.ones(len(pair)))
-
-
 def track_gaps(old: MeshContacts, pose: MeshPose) -> Array:
-    """Gaps (m,) at the minima near the contacts of `old` in another pose, inf for fixed points.
+    """Gaps (m,) at the minima near the contacts of `old` in another pose, of wide ones at their points; inf for fixed
+    points.
 
     Much cheaper than `find_mesh_contacts`. None is less than the least gap of its pair, so a closed one rejects a step.
     """
@@ -310,6 +332,12 @@ def track_gaps(old: MeshContacts, pose: MeshPose) -> Array:
     d, na, nb = pose.x[old.b] - pose.x[old.a], pose.normal[old.a], pose.normal[old.b]
     near, radii = old.minima.take(free), (pose.radii_of(old.a), pose.radii_of(old.b))
     gap[free] = followed_minima(near, d, na, nb, radii).distance - old.wires[near.pair]
+    pair, rows = old.wide.points.pair, old.wide.rows
+    before, rho = old.pose.normal[old.a[pair]], old.wide.points.rho_a
+    turn = cross(before, na[pair])
+    rho = rho + cross(turn, rho) + cross(turn, cross(turn, rho)) / (1.0 + dot(before, na[pair]))[:, None]
+    points = point_contacts(pair, rho, d[pair], nb[pair], radii[1][pair])
+    gap[rows] = np.where(gap[rows] > 0.0, old.wide.mean(points.distance - old.wires[pair]), gap[rows])
     return gap
 
 
@@ -350,11 +378,12 @@ def transfer_forces(old: MeshContacts, force: Array, new: MeshContacts, mu: Arra
     """
     central, parent, heir = new.central_forces(mu), nearest_contacts(new, old), nearest_contacts(old, new)
     rows, out = np.flatnonzero(parent >= 0), np.zeros(len(new.gap))
+    central, force = central * new.whole, force * old.whole
     total = np.bincount(parent[rows], central[rows], minlength=len(force))
     out[rows] = force[parent[rows]] * central[rows] / total[parent[rows]]
     orphans = np.flatnonzero((total == 0.0) & (heir >= 0))
     np.add.at(out, heir[orphans], force[orphans])
-    return np.where(out > 0.0, out, central)
+    return np.where(out > 0.0, out, central) / new.whole
 
 
 def wall_gaps(

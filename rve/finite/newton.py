@@ -17,7 +17,7 @@ import numpy as np
 from scipy import sparse
 from scipy.optimize import nnls
 
-from rve.common import Array, Index
+from rve.common import Array, Flags, Index
 from rve.common.factor import Factorizer, Solve
 from rve.finite.contacts import (
     MeshContacts,
@@ -29,8 +29,9 @@ from rve.finite.contacts import (
     wall_derivatives,
 )
 from rve.finite.problem import BLOCK, Iterate, ScaledProblem
+from rve.finite.wide import NO_WIDE
 from rve.geometry.contacts import distance_gradient, distance_hessian
-from rve.geometry.ring_pair import tangent_frame
+from rve.geometry.ring_pair import Minima, tangent_frame
 
 PAIR = 7
 METRIC = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.5])
@@ -96,6 +97,11 @@ class NewtonSystem:
         self._solutions: dict[int, Array]
 
     @property
+    def is_swinging(self) -> bool:
+        """Whether turns of single rings are limited."""
+        return self.problem.wide and self._is_fine
+
+    @property
     def _is_fine(self) -> bool:
         """Whether mu is so small that single contacts and rings are treated one by one."""
         return float(self.iterate.mu.max()) < self.problem.method.ring_mu
@@ -106,6 +112,7 @@ class NewtonSystem:
         Pairs and contacts that would make the step short are stiffened. None if no damping is enough.
         """
         con, iterate = self.con, self.start
+        swings: list[tuple[Array, Array]] = []
         while True:
             solve, push = self._solver()
             if solve is None:
@@ -115,12 +122,35 @@ class NewtonSystem:
             y = solve(push)
             q = self._held + (self.problem.motions @ y).reshape(self._held.shape)
             dgap = self._R_gaps @ y + self._held_gaps
+            if self._limit_turns(q, swings):
+                continue
             safe = safe_fractions(con, q)
             if self._turns >= self.method.turns or not self._stiffen_limiting(safe, dgap):
                 break
         stiff = self.stiff + self.iterate.extra
         dforce = (iterate.contact_mu * (1.0 - con.gap / con.reach) - iterate.force * con.gap) / con.gap - stiff * dgap
         return Step(q, dgap, dforce, safe, -float(self.push @ y), stiff, solve)
+
+    def _limit_turns(self, q: Array, swings: list[tuple[Array, Array]]) -> bool:
+        """Stiffen the tilts of single rings that turn farther than they may; whether there are some.
+
+        Between two taut contacts next to nothing turns a joining ring back. The inverse of its turn is linear in its
+        stiffness, for which the last of `swings`, stiffness and turn (n,) of all rings, has a second point.
+        """
+        stiff, turn, most = self.iterate.swing, norm_of_tilts(q), self.iterate.turn
+        far = (turn > 1.5 * most) & self.is_swinging
+        if not far.any() or len(swings) > self.method.turns:
+            return False
+        new = np.maximum(stiff, 1e-8) * turn / most
+        if swings:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                slope = (1.0 / turn - 1.0 / swings[-1][1]) / (stiff - swings[-1][0])
+                known = slope > 0.0
+                secant = stiff + (1.0 / most - 1.0 / turn) / slope
+            new = np.where(known, np.clip(secant, 1.5 * stiff, 1e4 * np.maximum(stiff, 1e-8)), new)
+        swings.append((stiff, turn))
+        self.iterate = replace(self.iterate, swing=np.where(far, new, stiff))
+        return True
 
     def answer(self, step: Step, force: Array) -> Array:
         """Displacements (n, 5) of the rings by the matrix of a step under contact forces (m,)."""
@@ -172,7 +202,8 @@ class NewtonSystem:
     def _weights(self, iterate: Iterate) -> Array:
         """The weights (7 f + 5 n + m,) of the rows of R."""
         damped = np.outer((self._scale * (iterate.damping + iterate.local))[self._coupled], METRIC)
-        soft = self._soft.ravel() + self.method.regularisation + 1e-6 * iterate.damping
+        soft = self._soft + np.outer(iterate.swing, [0.0, 0.0, 0.0, 1.0, 1.0])
+        soft = soft.ravel() + self.method.regularisation + 1e-6 * iterate.damping
         return np.concatenate([damped.ravel(), soft, iterate.extra])
 
     def _pairs(self) -> Array:
@@ -278,6 +309,14 @@ def line_search(system: NewtonSystem, step: Step, *, is_last: bool) -> tuple[Mes
             # All pairs are damped if one that closes was not near before.
             rows = find_rows(system.con.key, closed)
             near, local, damping = rows[rows >= 0], iterate.local.copy(), iterate.damping
+            turn = length * norm_of_tilts(step.q)
+            ends = np.union1d(system.con.a[near], system.con.b[near])
+            ends = ends[turn[ends] > system.method.turned] if system.is_swinging else ends[:0]
+            if len(ends):
+                most = iterate.turn.copy()
+                most[ends] = np.minimum(most[ends], 0.25 * turn[ends])
+                system.iterate = replace(iterate, turn=most)
+                return None, 0.0
             local[near] = np.maximum(30.0 * local[near], 5.0)
             if len(near) < len(closed):
                 damping = max(4.0 * damping, 1e-2)
@@ -287,6 +326,11 @@ def line_search(system: NewtonSystem, step: Step, *, is_last: bool) -> tuple[Mes
     local = np.where(step.safe < 0.5, np.maximum(2.0 * iterate.local, 0.1), 0.4 * iterate.local)
     system.iterate = replace(iterate, local=np.where(local < 1e-3, 0.0, local))
     return new, length
+
+
+def norm_of_tilts(q: Array) -> Array:
+    """Angles (n,) by which rings turn in a step q (n, 5)."""
+    return np.asarray(np.hypot(q[:, 3], q[:, 4]))
 
 
 def _try_fraction(system: NewtonSystem, step: Step, length: float) -> tuple[MeshContacts | None, Index]:
@@ -311,7 +355,7 @@ def _try_fraction(system: NewtonSystem, step: Step, length: float) -> tuple[Mesh
         q = q + system.answer(step, -step.stiff * np.minimum(gap - forecast, 0.0))
     else:
         return None, closed
-    new = problem.find(pose, con.reach)
+    new = problem.find(pose, con.reach, con)
     row = find_rows(con.key, new.key)
     closed = new.key[new.deepest < system.method.least * np.where(row >= 0, before[row], con.reach)]
     is_good = not len(closed) and is_passage_safe(con, new, q) and links_intact(new, problem.keys)
@@ -322,7 +366,7 @@ def _try_fraction(system: NewtonSystem, step: Step, length: float) -> tuple[Mesh
 def _decreases(system: NewtonSystem, new: MeshContacts, slope: float) -> bool:
     """Whether the barrier function decreases sufficiently (Armijo), to rounding.
 
-    Of pairs whose number of contacts has changed only the deepest contact counts.
+    Of pairs whose contacts have changed in number or kind only the deepest contact counts, and by mu less.
     """
 
     def beyond_deepest(con: MeshContacts) -> Array:
@@ -331,21 +375,46 @@ def _decreases(system: NewtonSystem, new: MeshContacts, slope: float) -> bool:
 
     old, mu = system.con, system.iterate.mu
     row = find_rows(old.key, new.key)
-    changed = (row >= 0) & (old.count[row] != new.count) & (old.count[row] > 0) & (new.count > 0)
+    is_other = np.isin(new.key, old.wide_keys) != np.isin(new.key, new.wide_keys)
+    changed = (row >= 0) & ((old.count[row] != new.count) | is_other) & (old.count[row] > 0) & (new.count > 0)
     excess = (beyond_deepest(new) - beyond_deepest(old)[row])[changed]
-    after = system.problem.barrier(new, mu) - float(new.pair_max(mu)[changed] @ excess)
+    after = system.problem.barrier(new, mu) - float(new.pair_max(mu)[changed] @ (excess + is_other[changed]))
     return after <= system.barrier + 1e-4 * slope + 1e-11 * (1.0 + abs(system.barrier))
 
 
 def gradients(con: MeshContacts) -> Array:
     """Derivative (m, 7) of each gap with respect to d, theta_a, theta_b of its pair."""
-    g, pair = distance_gradient(con.minima), con.minima.pair
-    frame = np.stack(tangent_frame(con.pose.normal), axis=2)
-    tilt_a = (g[:, 3:6, None] * frame[con.a[pair]]).sum(axis=1)
-    out = np.concatenate([g[:, :3], tilt_a, (g[:, 6:9, None] * frame[con.b[pair]]).sum(axis=1)], axis=1)
+    out = _point_gradients(con, con.minima)
     if con.pose.walls:
         out[con.at_wall] = _wall_derivatives(con, np.flatnonzero(con.at_wall))[0]
+    shares = con.wide.shares(con.gap)[:, None]
+    out[con.wide.rows] = con.wide.sums(shares * _point_gradients(con, con.wide.points))
     return out
+
+
+def _point_gradients(con: MeshContacts, points: Minima) -> Array:
+    """Derivative (k, 7) of distances at points of rings by the coordinates of their pairs."""
+    g, pair = distance_gradient(points), points.pair
+    frame = np.stack(tangent_frame(con.pose.normal), axis=2)
+    tilt_a = (g[:, 3:6, None] * frame[con.a[pair]]).sum(axis=1)
+    return np.concatenate([g[:, :3], tilt_a, (g[:, 6:9, None] * frame[con.b[pair]]).sum(axis=1)], axis=1)
+
+
+def spread_out(iterate: Iterate, dforce: Array, dgap: Array, q: Array) -> Iterate:
+    """The iterate with wide contacts at their points, and forces after linear changes of forces, gaps (m,) and places
+    q (n, 5): the share of a point grows by p + 1 times what g grows more than the gap there."""
+    con, force, wide = iterate.contacts, iterate.force, iterate.contacts.wide
+    row, points = wide.contact, wide.points
+    dpoint = rows_of(con, points.pair, _point_gradients(con, points)[:, None]) @ q.ravel()
+    change = dforce[row] / force[row] + (wide.power + 1) * (dgap[row] / con.gap[row] - dpoint / wide.gap)
+    out = force[row] * wide.shares(con.gap) * (1.0 + change)
+    keep, plain = out > 1e-13, ~con.is_wide
+    minima = con.minima.take(plain).join([points.take(keep)])
+    order = np.argsort(minima.pair, kind="stable")
+    fixed = np.append(con.fixed[plain], np.ones(keep.sum(), dtype=bool))[order]
+    gap, force = np.append(con.gap[plain], wide.gap[keep])[order], np.append((force + dforce)[plain], out[keep])[order]
+    new = replace(con, minima=minima.take(order), fixed=fixed, gap=gap, wide=NO_WIDE)
+    return replace(iterate, contacts=new, force=force, extra=np.zeros(len(force)))
 
 
 def _wall_derivatives(con: MeshContacts, rows: Index) -> tuple[Array, Array]:
@@ -378,34 +447,48 @@ def block_diagonal(pairs: Array, weight: Array) -> sparse.csr_matrix:
 
 
 def blocks(con: MeshContacts, G: Array, stiff: Array, force: Array) -> Array:
-    """Blocks (p, 7, 7) of the pairs: sum of stiff G G^T - force d2(gap)."""
+    """Blocks (p, 7, 7) of the pairs: sum of stiff G G^T - force d2(gap).
+
+    Of wide contacts d2(g) = sum share_k (d2(gap_k) - (p+1) gap_k (r_k - r)(r_k - r)^T), r_k = d(gap_k) / gap_k, where r
+    = dg/g is the mean of r_k weighted with share_k gap_k.
+    """
     first = np.searchsorted(con.minima.pair, np.arange(len(con.key) + 1))
     out = np.zeros((len(con.key), PAIR, PAIR))
-    frame = np.stack(tangent_frame(con.pose.normal), axis=2)
+    frame, wide = np.stack(tangent_frame(con.pose.normal), axis=2), con.is_wide
     for part in range(0, len(con.key), _CHUNK):
         ends = first[part : part + _CHUNK + 1]
         rows = np.arange(ends[0], ends[-1])
         per = (stiff[rows, None] * G[rows])[:, :, None] * G[rows, None, :]
-        curved = np.flatnonzero(force[rows])
+        curved = np.flatnonzero(force[rows] * ~wide[rows])
         per[curved] -= force[rows[curved], None, None] * _curvatures(con, rows[curved], frame)
         add = sparse.csr_matrix((np.ones(len(rows)), rows - ends[0], ends - ends[0]), shape=(len(ends) - 1, len(rows)))
         out[part : part + _CHUNK] = (add @ per.reshape(-1, PAIR**2)).reshape(-1, PAIR, PAIR)
+    at, points = con.wide, con.wide.points
+    weight = force[at.contact] * at.shares(con.gap)
+    rate = _point_gradients(con, points) / at.gap[:, None] - (G / con.gap[:, None])[at.contact]
+    bent = (at.power + 1) * at.gap[:, None, None] * rate[:, :, None] * rate[:, None, :]
+    bent -= _point_curvatures(con, points, frame, np.ones(len(at.gap), dtype=bool))
+    out[con.minima.pair[at.rows]] += at.sums(weight[:, None, None] * bent)
     return out
 
 
 def _curvatures(con: MeshContacts, rows: Index, frame: Array) -> Array:
     """Second derivatives (k, 7, 7) of the gaps of contacts `rows` (k,); frame (n, 3, 2) of each ring."""
-    pair, normal = con.minima.pair[rows], con.pose.normal
-    a, b = con.a[pair], con.b[pair]
-    H = distance_hessian(con.minima.take(rows), normal[a], normal[b], con.fixed[rows])
-    B = np.zeros((len(rows), 9, PAIR))
+    second = _point_curvatures(con, con.minima.take(rows), frame, con.fixed[rows])
+    if con.pose.walls:
+        at_wall = con.at_wall[rows]
+        second[at_wall] = _wall_derivatives(con, rows[at_wall])[1]
+    return second
+
+
+def _point_curvatures(con: MeshContacts, points: Minima, frame: Array, fixed: Flags) -> Array:
+    """Second derivatives (k, 7, 7) of distances at points, on ring a where `fixed` (k,), else at minima."""
+    a, b, normal = con.a[points.pair], con.b[points.pair], con.pose.normal
+    H = distance_hessian(points, normal[a], normal[b], fixed)
+    B = np.zeros((len(a), 9, PAIR))
     B[:, [0, 1, 2], [0, 1, 2]] = 1.0
     B[:, 3:6, 3:5], B[:, 6:9, 5:7] = frame[a], frame[b]
-    second = np.matmul(B.transpose(0, 2, 1), np.matmul(H, B))
-    if con.pose.walls:
-        at_wall = b >= con.pose.rings
-        second[at_wall] = _wall_derivatives(con, rows[at_wall])[1]
-    return np.asarray(second)
+    return np.asarray(np.matmul(B.transpose(0, 2, 1), np.matmul(H, B)))
 
 
 def negative_part(pairs: Array) -> Array:

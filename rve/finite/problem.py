@@ -67,17 +67,20 @@ class StepMethod:
     """Numbers of a Newton step; lengths in r1.
 
     travel: longest way of a support in an iteration. regularisation: stiffness of every coordinate, which keeps loose
-    rings in place. turns: how often pairs and contacts that limit a step are stiffened before it is taken; another
-    factor counts as two. short: a smaller fraction of a step is short. rank: of the largest update of a factor.
-    closing: contacts that close before these fractions of a step are stiffened, the smaller one if they are many.
-    closed: fraction of its gap that a stiffened contact may close. many: fraction of pairs without negative curvature
-    above which all lose it. attempts: how often single pairs are damped before a step is shortened. corrections: trials
-    of a step, as it is and corrected. farthest: fraction of a gap that the linear forecast of a step may close. least:
-    fraction of the gap of a pair that a step must leave.
+    rings in place. turn: most that a joining ring turns, rad, where turns are limited; a quarter of what closed a gap,
+    if that was more than `turned`. turns: how often pairs and contacts that limit a step are stiffened before it is
+    taken; another factor counts as two. short: a smaller fraction of a step is short. rank: of the largest update of a
+    factor. closing: contacts that close before these fractions of a step are stiffened, the smaller one if they are
+    many. closed: fraction of its gap that a stiffened contact may close. many: fraction of pairs without negative
+    curvature above which all lose it. attempts: how often single pairs are damped before a step is shortened.
+    corrections: trials of a step, as it is and corrected. farthest: fraction of a gap that the linear forecast of a
+    step may close. least: fraction of the gap of a pair that a step must leave.
     """
 
     travel: float = 3.0
     regularisation: float = 1e-10
+    turn: float = 0.3
+    turned: float = 1e-4
     turns: int = 6
     short: float = 0.3
     rank: int = 64
@@ -95,18 +98,20 @@ class PathMethod:
     """Numbers of the path of mu, the product of force and gap.
 
     shrink, power: the next mu of a ring is the lesser of shrink mu and mu^power, once its Newton decrement is below
-    `centred` mu. smoothing: passes over neighbours in which decrements are averaged. lift: factor on mu of stagnant
-    rings, and of those within `links` links. reaches: (mu, reach) of contacts from this mu on; farther ones have next
-    to no force. parts: of the way of supports, tried in this order; larger ones close gaps for good in some sheets that
-    are drawn far together. window: iterations in which supports must come 1 % nearer, and a step must be longer than
-    1e-6. idle: iterations without progress at the last mu after which unbalanced pairs get fixed points. slide_mu,
-    slide_damping, slides: over a floor mu does not fall below the first while pairs are damped by the second and lifts
-    are fewer than the third, since sliding rings gain little for the damping.
+    `centred` mu, with wide contacts `centred_wide` mu: joining rings turn while gaps are large. smoothing: passes over
+    neighbours in which decrements are averaged. lift: factor on mu of stagnant rings, and of those within `links`
+    links. reaches: (mu, reach) of contacts from this mu on; farther ones have next to no force. parts: of the way of
+    supports, tried in this order; larger ones close gaps for good in some sheets that are drawn far together. window:
+    iterations in which supports must come 1 % nearer, and a step must be longer than 1e-6. idle: iterations without
+    progress at the last mu after which unbalanced pairs get fixed points. slide_mu, slide_damping, slides: over a floor
+    mu does not fall below the first while pairs are damped by the second and lifts are fewer than the third, since
+    sliding rings gain little for the damping.
     """
 
     shrink: float = 0.3
     power: float = 1.15
     centred: float = 0.5
+    centred_wide: float = 0.05
     smoothing: int = 4
     lift: float = 30.0
     links: int = 6
@@ -222,8 +227,9 @@ class ScaledProblem:
 
     linked (m, 2): pairs that interlink; wire = r2/r1; force (n, 3): dead forces; held (n, 3): which coordinates are
     held, at (n, 3): their places; motions (5 n, u): the coordinates by the free motions, rings on straight bars moving
-    with the ends of their bar; guard_points, fixed_points: as of `find_mesh_contacts`; guide (n, 3): places that pull
-    at the centres while mu is large, nan for none; load: sum of the loads, the scale of residuals; unit: of forces, N.
+    with the ends of their bar; guard_points, fixed_points: as of `find_mesh_contacts`, but no guard points where soft
+    pairs have `wide` contacts; guide (n, 3): places that pull at the centres while mu is large, nan for none; load: sum
+    of the loads, the scale of residuals; unit: of forces, N.
     """
 
     linked: Index
@@ -233,6 +239,7 @@ class ScaledProblem:
     at: Array
     motions: sparse.csr_matrix
     guard_points: bool = True
+    wide: bool = False
     fixed_points: FixedPoints = NO_POINTS
     guide: Array = field(default_factory=lambda: np.array(np.nan))
     load: float = 1.0
@@ -245,11 +252,12 @@ class ScaledProblem:
         """Keys of the linked pairs."""
         return np.asarray(self.linked[:, 0] * len(self.force) + self.linked[:, 1])
 
-    def find(self, pose: MeshPose, reach: float) -> MeshContacts:
-        """The contacts of a pose."""
-        guard, points, soft = self.guard_points, self.fixed_points, self.method.soft
+    def find(self, pose: MeshPose, reach: float, old: MeshContacts | None = None) -> MeshContacts:
+        """The contacts of a pose after those of `old`."""
+        wide = (self.keys[:0] if old is None else old.wide_keys) if self.wide else None
+        guard, points, soft = self.guard_points and not self.wide, self.fixed_points, self.method.soft
         return find_mesh_contacts(
-            pose, self.linked, self.wire, reach, guard_points=guard, fixed_points=points, soft=soft
+            pose, self.linked, self.wire, reach, guard_points=guard, fixed_points=points, soft=soft, wide=wide
         )
 
     def way_left(self, pose: MeshPose) -> Array:
@@ -286,7 +294,8 @@ class Iterate:
     force (m,): of contacts; mu (n,): of rings, a contact has the greater one of its rings; damping: of all pairs, local
     (p,): additional damping of single pairs; convex (p,): fraction of the negative curvature of a pair that is left
     out; extra (m,): additional stiffness of contacts; gain (n,): Newton decrement of the step to it by rings, negative
-    where no step led to it.
+    where no step led to it; swing, turn (n,): stiffness of the tilts of single rings in this step, and how far they may
+    turn, rad.
     """
 
     contacts: MeshContacts
@@ -297,6 +306,8 @@ class Iterate:
     convex: Array
     extra: Array
     gain: Array
+    swing: Array
+    turn: Array
 
     @property
     def contact_mu(self) -> Array:
@@ -428,7 +439,11 @@ class Problem:
         guide = np.concatenate([np.broadcast_to(self.guide, (n, 3)) / r1, np.full((k, 3), np.nan)])
         at, size = self.pose(at, at).x, load / unit
         motions = self._motions(free)
-        return ScaledProblem(mesh.linked, mesh.cell.wire, force, held, at, motions, guide=guide, load=size, unit=unit)
+        # Joining rings, and rings that lie upon each other, turn until minima of the distance split.
+        wide = not (mesh.cell.weave.is_of_equal_rings and mesh.cell.weave.is_flat)
+        return ScaledProblem(
+            mesh.linked, mesh.cell.wire, force, held, at, motions, wide=wide, guide=guide, load=size, unit=unit
+        )
 
 
 def along(X: Array) -> Array:

@@ -19,8 +19,8 @@ from rve.common import Array, Flags, InputError, shown, tell
 from rve.common.factor import Factorizer
 from rve.finite.contacts import NO_POINTS, MeshContacts, MeshPose, make_fixed_points
 from rve.finite.layout import RingLayout
-from rve.finite.newton import NewtonSystem, Step, gradients, line_search, spread
-from rve.finite.problem import BLOCK, FiniteOptions, HalfSpace, Iterate, Problem, ScaledProblem
+from rve.finite.newton import NewtonSystem, Step, gradients, line_search, norm_of_tilts, spread, spread_out
+from rve.finite.problem import BLOCK, METHOD, FiniteOptions, HalfSpace, Iterate, Problem, ScaledProblem
 from rve.finite.solution import FiniteSolution, IterationRecord, SolverResult, as_solution
 
 
@@ -97,7 +97,8 @@ def solve_near(problem: ScaledProblem, contacts: MeshContacts, force: Array, opt
 def _first_iterate(contacts: MeshContacts, force: Array, mu: float, damping: float) -> Iterate:
     """The first iterate, all rings at the same mu."""
     none, n = np.zeros(len(contacts.key)), len(contacts.pose.x)
-    return Iterate(contacts, force, np.full(n, mu), damping, none, none, 0.0 * force, np.full(n, -1.0))
+    rings = np.full(n, mu), damping, none, none, 0.0 * force, np.full(n, -1.0), np.zeros(n)
+    return Iterate(contacts, force, *rings, np.full(n, METHOD.step.turn))
 
 
 class _Path:
@@ -158,7 +159,8 @@ class _Path:
         self.stagnation.count(self.merit, iterate.gain)
         is_sliding = most <= self.method.slide_mu and iterate.local.max(initial=0.0) >= self.method.slide_damping
         is_sliding = is_sliding and self.stagnation.lifts.max() < self.slides
-        is_centred = (iterate.gain >= 0.0) & (iterate.gain < self.method.centred * iterate.mu)
+        centred = self.method.centred_wide if self.problem.wide else self.method.centred
+        is_centred = (iterate.gain >= 0.0) & (iterate.gain < centred * iterate.mu)
         self.is_centred = is_centred & ~self.is_last & (not is_sliding)
         self.is_stagnant = ~self.is_centred & self.stagnation.is_over(options, self.is_last)
 
@@ -168,7 +170,7 @@ class _Path:
             # A time step needs no more damping here; whether its matrix is positive definite shows without it.
             none = 0.0 * self.iterate.local
             self.iterate = replace(self.iterate, damping=0.0, local=none, convex=none)
-        if self.is_end and self.stagnation.idle == self.method.idle:
+        if self.is_end and self.stagnation.idle == self.method.idle and not self.problem.wide:
             self._add_fixed_points()
         if self.has_arrived and self.is_centred.all() and self.part < self.parts:
             self.part, self.distances, self.has_arrived = self.part + 1, [], False
@@ -188,7 +190,7 @@ class _Path:
         self.stagnation.begin(mu != iterate.mu, is_lifted)
         self.iterate, reach = replace(iterate, mu=mu), self.reach(float(mu.max()))
         if reach != iterate.contacts.reach or is_stuck:
-            self.iterate = self.iterate.at(self.problem.find(iterate.contacts.pose, reach))
+            self.iterate = self.iterate.at(self.problem.find(iterate.contacts.pose, reach, iterate.contacts))
 
     def _next_mu(self) -> tuple[Array, Flags]:
         """mu (n,) of the rings for the next iterate, and which of them were lifted.
@@ -248,7 +250,14 @@ class _Path:
             )
             return
         is_exact = iterate.damping < 1e-6 and not iterate.convex.any() and iterate.local.max(initial=0.0) < 1e-2
-        self.iterate, self.is_minimum = _accept(system, new, step, length), is_exact and system.failed == 0
+        self.is_minimum = is_exact and system.failed == 0 and not system.iterate.swing.any()
+        if self.is_end and self.is_minimum and self.problem.wide:
+            # Gaps of wide contacts round off to 1e-6 of their forces: these follow from the last step.
+            at_points = spread_out(iterate, step.dforce, step.dgap, step.q)
+            if max(residuals(at_points, self.problem)) < self.options.tolerance:
+                self.iterate = at_points
+                return
+        self.iterate = _accept(system, new, step, length)
 
     def _are_supports_stuck(self) -> bool:
         """Whether supports have come no nearer to their places over the window."""
@@ -258,6 +267,8 @@ class _Path:
     def _result(self, status: str) -> SolverResult:
         """The last iterate; without convergence that of least residual at the end of the path, if there is one."""
         end = self.best if np.isfinite(self.best_merit) and status != "converged" else self.iterate
+        none = 0.0 * end.force
+        end = spread_out(end, none, none, np.zeros((len(end.mu), BLOCK)))
         return SolverResult(end.contacts, end.force, status, max(residuals(end, self.problem)), tuple(self.history))
 
 
@@ -319,7 +330,9 @@ def _accept(system: NewtonSystem, new: MeshContacts, step: Step, length: float) 
     convex = np.where((iterate.convex > start.convex) | (length <= 0.3), iterate.convex, 0.3 * iterate.convex)
     convex[convex < 0.02] = 0.0
     damping = damping if damping > 1e-9 else 0.0
-    end = replace(iterate, force=force, damping=damping, convex=convex, gain=_gain(system, step)).at(new)
+    turn = iterate.turn if length <= 0.3 else np.minimum(METHOD.step.turn, 2.0 * iterate.turn)
+    free = replace(iterate, swing=np.zeros_like(turn), turn=turn)
+    end = replace(free, force=force, damping=damping, convex=convex, gain=_gain(system, step)).at(new)
     mu = end.contact_mu
     return replace(end, force=np.clip(end.force, 0.3 * new.central_forces(mu), 1e6 * mu / new.gap))
 
@@ -332,7 +345,7 @@ def _gain(system: NewtonSystem, step: Step) -> Array:
     coupled = con.count > 0
     a, b = con.a[coupled], con.b[coupled]
     work = np.bincount(con.minima.pair, step.stiff * step.dgap**2, len(con.key))[coupled]
-    gain = 0.5 * (np.bincount(a, work, n) + np.bincount(b, work, n))
+    gain = 0.5 * (np.bincount(a, work, n) + np.bincount(b, work, n)) + system.iterate.swing * norm_of_tilts(step.q) ** 2
     count = 1.0 + np.bincount(a, minlength=n) + np.bincount(b, minlength=n)
     for _ in range(system.problem.method.path.smoothing):
         gain = (gain + np.bincount(a, gain[b], n) + np.bincount(b, gain[a], n)) / count

@@ -134,7 +134,7 @@ def _with_inertia(problem: Problem, weight: Array, aim: Array, places: Array) ->
     inertia = RingInertia(mass * r1 / scaled.unit, place, rotary / (scaled.unit * r1), normal)
     # Guard points would come and go from step to step; with inertia the matrix needs none.
     least = np.finfo(float).eps * float(weight @ np.abs(aim).max(axis=1)) / load
-    return replace(scaled, inertia=inertia, guard_points=False), least
+    return replace(scaled, inertia=inertia, guard_points=False, wide=False), least
 
 
 def _forces(start: FiniteSolution, scaled: ScaledProblem, contacts: MeshContacts, mu: float) -> Array:

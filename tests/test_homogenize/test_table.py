@@ -13,7 +13,7 @@ from benchmarks.shipped_law import shipped_record
 from homogenize import FitOptions, default_law, fit, locked_strain
 from homogenize.fitting import bounds_of, random_loads, rows_from_table
 from homogenize.io import DEFAULT_LAW
-from rve import InputError, read_table
+from rve import DirectOptions, InputError, read_table
 from rve.common import double_dot, eigenvalues, trace
 from rve.table import Origin
 
@@ -94,6 +94,9 @@ def test_outlier_is_refused_by_row_number(table):
     E[47] += [0.02, 0.0, 0.02]
     with pytest.raises(InputError, match=r"without rows 47 the others agree"):
         fit(spoilt(table, np.arange(len(table)), E=E))
+    first = replace(table.origin, options=DirectOptions(branches="first"))
+    with pytest.raises(InputError, match="solve the table with --branches largest; the rows do not lie"):
+        fit(replace(spoilt(table, np.arange(len(table)), E=E), origin=first))
 
 
 def test_noise_is_refused_or_taken_with_its_level(table):

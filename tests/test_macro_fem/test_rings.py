@@ -348,23 +348,24 @@ def test_rings_drawn_far_together_over_a_floor_get_there_in_parts_or_from_anothe
 
 
 @pytest.mark.parametrize(
-    ("weave", "ratio", "columns", "rows", "residual"),
+    ("weave", "ratio", "columns", "rows"),
     [
-        pytest.param("4-in-1", 10, 8, 7, 1e-8, marks=pytest.mark.slow),
-        pytest.param("6-in-1", 10, 9, 5, 1e-8, marks=pytest.mark.slow),
-        pytest.param("8-in-1", 12, 11, 4, 1e-8, marks=pytest.mark.slow),
-        pytest.param("japanese-4-in-1", 10, 6, 6, 1e-3, marks=pytest.mark.release),  # does not converge
+        pytest.param("4-in-1", 10, 8, 7, marks=pytest.mark.slow),
+        pytest.param("6-in-1", 10, 9, 5, marks=pytest.mark.slow),
+        pytest.param("8-in-1", 12, 11, 4, marks=pytest.mark.slow),
+        pytest.param("japanese-4-in-1", 10, 6, 6, marks=pytest.mark.release),
     ],
 )
-def test_a_hundred_rings_of_a_weave_come_to_the_disk(weave, ratio, columns, rows, residual):
+def test_a_hundred_rings_of_a_weave_come_to_the_disk(weave, ratio, columns, rows):
     """Weight, and mean height within 3.9 % of the sheet's, as from 8 cells across on."""
     cell = Cell(5.0, 5.0 / ratio, weave)
     law = fit(solve_table(cell, grid(15.0, cell.weave), DirectOptions(branches="first"))).law
     hung = scene(columns, rows, law.cell.sides_mm, support={"kind": "corners", "gather": 0.9}, mesh={"cells": 16})
     disk, options = macro_fem.solve(hung, law).summary, FiniteOptions(max_iterations=300, starts=1)
     rings = ring_scene(hung, law).solve(space=True, options=options)
-    assert rings.kkt_residual < residual
+    assert rings.status == "converged"
+    assert rings.kkt_residual < 1e-8
     assert len(rings.mesh.X) > 100
     assert abs(rings.mean_height - disk["mean_height_mm"]) < 0.039 * rows * law.cell.b_y_mm
     weight = disk["support_forces"][0]["force_N"][1]
-    assert rings.reaction[:, 1].sum() == pytest.approx(weight, rel=10.0 * residual)
+    assert rings.reaction[:, 1].sum() == pytest.approx(weight, rel=1e-7)

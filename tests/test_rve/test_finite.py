@@ -145,6 +145,76 @@ def test_gradients_and_newton_matrix_are_those_of_differences(weave):
         assert v @ -K[con.minima.pair[row]] @ v == pytest.approx(second, abs=1e-3 * (1.0 + abs(second)))
 
 
+def taut_pair(angle, gap, wide=True, lean=0.0):
+    """A joining ring of half the radius that hangs on a flat one, turned about the line of the pull."""
+    x, lean = np.array([[0.0, 0, 0], [1.0 - 0.2 - gap + 0.5, 0, 0]]), np.array([0.0, 0.0, 0.0, lean, 0.0])
+    normal = np.array([[0.0, 0.0, 1.0], [0.0, -np.sin(angle), np.cos(angle)]])
+    pose = MeshPose(x, normal, radii=np.array([1.0, 0.5]), wires=np.ones(2)).moved(np.stack([0.0 * lean, lean]))
+    links, none = np.array([[0, 1]]), np.zeros(0, int)
+    return find_mesh_contacts(pose, links, 0.1, 0.3, guard_points=False, wide=none if wide else None)
+
+
+def test_the_gap_of_a_wide_contact_is_smooth_where_its_minimum_splits():
+    """Beside the two minima, which are there only below the angle of the closed form above."""
+    gap = 1e-3
+    limit = np.arccos(np.sqrt((0.8 - gap) * (0.6 - 2.0 * gap)))
+    angles = limit + np.linspace(-0.012, 0.012, 9)
+    assert [len(taut_pair(angle, gap, wide=False).gap) for angle in angles[[0, -1]]] == [2, 1]
+    pairs = [taut_pair(angle, gap) for angle in angles]
+    assert all(len(con.gap) == con.is_wide.sum() == 1 for con in pairs)
+    gaps = np.array([con.gap[0] for con in pairs])
+    assert np.abs(np.diff(gaps, 3)).max() < 0.02 * np.ptp(gaps)
+    for con in pairs:
+        shares = con.wide.shares(con.gap)
+        assert shares @ con.wide.gap == pytest.approx(con.gap[0])  # force times gap is that of the whole contact
+        assert con.whole == pytest.approx(shares.sum())
+        assert con.wide.gap.min() == pytest.approx(con.deepest[0], rel=5e-2)
+    near, far = (taut_pair(limit, gap, lean=lean) for lean in (1e-4, 2e-4))
+    assert track_gaps(near, far.pose) == pytest.approx(far.gap, rel=1e-4)  # other points, the same integral
+
+
+@pytest.mark.parametrize("weave", ["japanese-4-in-1", "kings-4-in-1"])
+def test_gradients_and_curvatures_of_wide_contacts_are_those_of_differences(weave):
+    mesh, pose, rng = disturbed(1, weave=weave)
+    q, step = rng.standard_normal((len(mesh.X), 5)), 1e-5
+    con = find_mesh_contacts(pose, mesh.linked, 0.1, 0.6, guard_points=False, wide=np.zeros(0, int))
+    rows = con.wide.rows
+    assert len(rows) > 3
+    fore, aft = (track_gaps(con, pose.moved(t * q)) for t in (step, -step))
+    jac = gradients(con)
+    unit = np.broadcast_to(np.eye(7), (len(con.key), 7, 7))
+    moved = (rows_of(con, np.arange(len(con.key)), unit) @ q.ravel()).reshape(-1, 7)[con.minima.pair[rows]]
+    rate = (jac[rows] * moved).sum(axis=1)
+    assert rate == pytest.approx(((fore - aft) / (2 * step))[rows], rel=1e-4, abs=1e-4 * np.abs(rate).max())
+    K = blocks(con, jac, np.zeros(len(con.gap)), con.is_wide.astype(float))[con.minima.pair[rows]]
+    second = ((fore + aft - 2 * con.gap) / step**2)[rows]
+    assert np.einsum("ri,rij,rj->r", moved, -K, moved) == pytest.approx(
+        second, rel=1e-3, abs=1e-3 * np.abs(second).max()
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("weave", "columns", "rows"), [("japanese-4-in-1", 3, 2), ("kings-4-in-1", 2, 2)])
+def test_joining_rings_that_turn_until_their_contact_splits_come_to_rest(weave, columns, rows):
+    """Hung by two corners in space: balanced by contacts that push, at points where wires touch."""
+    mesh = FiniteMesh.rectangle(Cell(weave=weave), columns, rows)
+    corners = top_of(mesh) & np.isin(mesh.X[:, 0], [mesh.X[top_of(mesh), 0].min(), mesh.X[top_of(mesh), 0].max()])
+    force, held, at = hung(mesh, corners)
+    at[corners, 0] = at[corners, 0].mean() + 0.9 * (at[corners, 0] - at[corners, 0].mean())
+    rings = mesh.solve(force, held, at, options=FiniteOptions(max_iterations=200, starts=1))
+    assert rings.status == "converged"
+    assert rings.kkt_residual < 1e-8
+    pairs, push = rings.contacts.pairs, rings.contacts.force[:, None] * rings.contacts.normal
+    total = force + rings.reaction
+    np.add.at(total, pairs[:, 0], -push)
+    np.add.at(total, pairs[:, 1], push)
+    assert np.abs(total).max() < 1e-7 * np.abs(force).sum()
+    assert rings.contacts.force.min() >= 0.0
+    assert rings.contacts.gap @ rings.contacts.force < 1e-6 * np.abs(force).sum() * 5.0
+    assert rings.contacts.links_intact
+    assert 0.0 < rings.contacts.min_gap_mm < 1e-6
+
+
 def some_iteration():
     """An iteration in which some coordinates are free and no contact has a force, and its matrix by sums over pairs."""
     mesh, pose, rng = disturbed(2)
@@ -156,7 +226,7 @@ def some_iteration():
         ScaledProblem(mesh.linked, 0.1, rng.standard_normal((n, 3)), none > 0.0, none, motions),
         np.full(n, 0.01),
     )
-    zero = np.zeros(p), np.zeros(p), np.zeros(m), np.zeros(n)
+    zero = np.zeros(p), np.zeros(p), np.zeros(m), np.zeros(n), np.zeros(n), np.ones(n)
     now = NewtonSystem(Iterate(con, np.zeros(m), mu, 0.02, *zero), problem, gradients(con), Factorizer("superlu"))
     whole = np.zeros((p, 7, n, 5))
     for pair, (a, b) in enumerate(zip(con.a, con.b, strict=True)):
@@ -716,7 +786,7 @@ def test_the_right_hand_side_is_the_slope_of_the_barrier_function_where_each_rin
     assert (fore.count == aft.count).all()
     zero = np.zeros(len(con.gap))
     none = np.zeros(len(con.key))
-    iterate = Iterate(con, zero, mu, 0.0, none, none, zero, np.zeros(n))
+    iterate = Iterate(con, zero, mu, 0.0, none, none, zero, np.zeros(n), np.zeros(n), np.ones(n))
     assert (iterate.contact_mu == np.maximum(mu[con.a], mu[con.b])[con.minima.pair]).all()
     slope = -float(NewtonSystem(iterate, problem, gradients(con), Factorizer()).push @ q.ravel())
     assert (above - below) / (2 * step) == pytest.approx(slope, rel=1e-6)

@@ -271,3 +271,11 @@ def test_the_command_prints_one_json_object():
     assert found["x2_x_mm"] == pytest.approx(17.42005, abs=2e-4)
     assert {"E11", "E12", "E22", "x2_y_mm", "x3_x_mm", "x3_y_mm", "unique", "branch", "b_x_mm"} < found.keys()
     assert (found["status"], found["states"]) == ("converged", len(found["works"]))
+
+
+def test_shear_to_round_off_does_not_stall_thin_wire():
+    """The load of a row of a table along the grain, whose shear is 5e-11, of a Japanese weave of r1/r2 = 9."""
+    cell = Cell(5.0, 5.0 / 9.0, "japanese-4-in-1")
+    found = support(cell, [-1.2e-17, -4.9e-11, 1.0], DirectOptions(branches="first"))
+    assert found.status == ["converged"]
+    assert abs(found.h[0]) < 1e-9  # the reference cell is locked by this pull
