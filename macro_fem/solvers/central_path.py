@@ -20,7 +20,7 @@ from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.solvers import soc
 from macro_fem.solvers.cone_program import ConeState, Measure, Program, compliance_root, find_first_state, measure
-from macro_fem.solvers.cone_step import advance, find_nearest, find_step, join, prune
+from macro_fem.solvers.cone_step import STEP, advance, find_nearest, find_step, join, prune
 from macro_fem.solvers.cones import all_cuts, first_cones, green_strain, least_slack
 from macro_fem.solvers.path import PATH, RIGID_TERMS, PathOptions, PathResult, Terms
 from macro_fem.solvers.status import FREE, Evidence, Reach, load_scale
@@ -252,8 +252,9 @@ def find_flow(program: Program, z: Array) -> Array:
         cut = all_cuts(program.flow.law, program.locked(F, tau[:, None]))
         assert cut.extra is not None
         radius = np.sqrt(np.maximum((cut.S * WEIGHT * C).sum(axis=1), 0.0))
-        offset = np.sqrt(2.0 * cut.h + 1.0) * (not program.is_limit)
-        asked = np.maximum(tau, (radius - offset) / cut.extra * program.flow.strength)
+        beyond = radius - np.sqrt(2.0 * cut.h + 1.0) * (not program.is_limit)
+        beyond[beyond < STEP.rounded * radius] = 0.0  # work of rounding, which is more than that of the smallest loads
+        asked = np.maximum(tau, beyond / cut.extra * program.flow.strength)
         if not (asked > tau * (1.0 + 1e-12)).any():
             break
         tau = asked
