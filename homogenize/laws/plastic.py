@@ -142,7 +142,7 @@ class Strings(ByValue):
 
 @lru_cache(maxsize=4)
 def _drawn(cell: Cell, loads: bytes, sides_mm: tuple[float, float]) -> StringStates:
-    """The strings of a cell, found once for all laws of it, of which each solve of a scene with a material makes one."""
+    """The strings of a cell, found once for all of its laws: a scene with a material makes one at each solve."""
     return string_states(cell, np.frombuffer(loads).reshape(-1, 3), sides_mm, STARTS)
 
 

@@ -19,7 +19,7 @@ from macro_fem.curtain import CurtainProblem, CurtainSolution, solve_problem
 from macro_fem.scene.loads import nodal_forces
 from macro_fem.scene.moving import scaled
 from macro_fem.scene.scene import Scene
-from macro_fem.scene.tables import FACTORED, Load
+from macro_fem.scene.tables import FACTORED, Bar, Load
 from macro_fem.solvers.status import Status
 from rve.common import Array, NotConverged, part_of
 from rve.wire import rupture_stress
@@ -69,7 +69,8 @@ def _live_loads(problem: CurtainProblem) -> Array:
 
 def _times(scene: Scene, factor: float) -> Scene:
     """The scene with its live loads times a factor."""
-    items = (scaled(one, factor, FACTORED) if isinstance(one, Load) and one.kind != "bar" else one for one in scene.items)
+    live = (isinstance(one, Load) and not isinstance(one, Bar) for one in scene.items)
+    items = (scaled(one, factor, FACTORED) if is_live else one for one, is_live in zip(scene.items, live, strict=True))
     return replace(scene, items=tuple(items))
 
 
