@@ -69,9 +69,11 @@ def _live_loads(problem: CurtainProblem) -> Array:
 
 def _times(scene: Scene, factor: float) -> Scene:
     """The scene with its live loads times a factor."""
-    live = (isinstance(one, Load) and not isinstance(one, Bar) for one in scene.items)
-    items = (scaled(one, factor, FACTORED) if is_live else one for one, is_live in zip(scene.items, live, strict=True))
-    return replace(scene, items=tuple(items))
+    items = tuple(
+        scaled(one, factor, FACTORED) if isinstance(one, Load) and not isinstance(one, Bar) else one
+        for one in scene.items
+    )
+    return replace(scene, items=items)
 
 
 def find_rupture(solution: CurtainSolution) -> Rupture | None:
