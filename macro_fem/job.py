@@ -10,7 +10,7 @@ from typing import Any, Literal, overload
 from homogenize import LawInterval, MembraneLaw, default_law, read_law_interval
 from homogenize.fitting import interval_or_law
 from macro_fem.answer import RECORD, Solution, read_job
-from macro_fem.bounds.interval import admissible_problem, levels
+from macro_fem.bounds.interval import CurtainBounds, admissible_problem, levels
 from macro_fem.bounds.limit import limit_levels
 from macro_fem.curtain import CurtainSolution, make_problem, solve_problem
 from macro_fem.demand import OnDemand, solve_on_demand
@@ -163,7 +163,9 @@ def _solve_plastic(scene: Scene, law: MembraneLaw) -> MembraneSolution:
         build_mesh(scene, law.cell),
         None,
     )
-    limits = tuple(limit_levels(pose(scene, law, mesh)))
+    # With strings, meshes are refined where bounds of the potential differ, which tell the work of a curtain beyond.
+    once = replace(scene, solver=replace(scene.solver, adapt=scene.solver.adapt * (not scene.solver.strings)))
+    limits = tuple(limit_levels(pose(once, law, mesh)))
     with suppress(InputError):  # supports out of reach of rings that lock
         rigid = MembraneSolution(still, tuple(_steps(still, law, scene.load.steps)))
     if scene.solver.strings or not limits[-1].is_passed:
@@ -172,13 +174,17 @@ def _solve_plastic(scene: Scene, law: MembraneLaw) -> MembraneSolution:
         scene.refuse(f"[load]: {COLLAPSED}; limit_factor = {limits[-1].factor:.4g}")
     else:
         steps = [replace(rigid.loaded, stop="collapsed")]
+    bounds: tuple[CurtainBounds, ...] = ()
+    if scene.solver.is_bounded and scene.solver.strings and steps[-1].status == "converged":
+        bounds = tuple(levels(steps[-1]))
+        steps = [*steps[:-1], bounds[-1].solution]
     rupture: Rupture | str | None = None
     if scene.solver.strings:
         try:
             rupture = find_rupture(steps[-1]) or "it takes live loads, and a [material] with ultimate"
         except (InputError, NotConverged) as error:
             rupture = str(error)
-    return MembraneSolution(scene, tuple(steps), limits=limits, rigid=rigid, rupture=rupture)
+    return MembraneSolution(scene, tuple(steps), bounds, limits=limits, rigid=rigid, rupture=rupture)
 
 
 def solve_every_ring(scene: Scene, who: EveryRing) -> EveryRingSolution:

@@ -292,7 +292,7 @@ class BoundsOfPotential(Table):
 @dataclass(frozen=True, kw_only=True)
 class Bounds(Table):
     """Bounds on the last mesh and on all; the interval of the mean height, or of the potential, and its parts, of which
-    that of the law is None for one without rows."""
+    that of the law is None for one without rows; that of the least plastic work in which loads do as much as here."""
 
     bounds: BoundsOfPotential | None = None
     levels: tuple[BoundsOfPotential, ...] | None = None
@@ -300,6 +300,7 @@ class Bounds(Table):
     law_part_mm: float | None = field(default=None, metadata={"when": lambda own: own["mesh_part_mm"] is not None})
     mesh_part_mm: float | None = None
     potential_interval_N_mm: Numbers | None = None
+    plastic_work_interval_N_mm: Numbers | None = None
     law_part_N_mm: float | None = field(default=None, metadata={"when": lambda own: own["mesh_part_N_mm"] is not None})
     mesh_part_N_mm: float | None = None
 

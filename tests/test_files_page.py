@@ -45,7 +45,7 @@ curtain = {width = 120.0, height = 120.0}
 mesh = {cells = 2}
 support = [{kind = "edge", edge = "left"}, {kind = "edge", edge = "right"}]
 load = {steps = 2, gravity = [0.0, 0.0, -9.81], patch = [{at = [60, 60], radius = 30, force = [0, 0, -200]}]}
-solver = {kind = "plastic", strings = true}
+solver = {kind = "plastic", strings = true, bounds = true}
 """
 
 

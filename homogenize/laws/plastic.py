@@ -34,7 +34,8 @@ from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, Response, che
 from homogenize.laws.strength import MAKE_AGAIN, Strength
 from rve.common import Array, ByValue, InputError, checked
 from rve.common.tensor import IDENTITY, WEIGHT, disc, dyad, eigenvalues, mirror
-from rve.locking import string_states
+from rve.geometry import Cell
+from rve.locking import StringStates, string_states
 
 FIBRES = 180
 """Directions of strips, over half a turn. Half as many leave strips between them 1e-4 stronger than their strength."""
@@ -140,14 +141,20 @@ class Strings(ByValue):
 
 
 @lru_cache(maxsize=4)
+def _drawn(cell: Cell, loads: bytes, sides_mm: tuple[float, float]) -> StringStates:
+    """The strings of a cell, found once for all of its laws: a scene with a material makes one at each solve."""
+    return string_states(cell, np.frombuffer(loads).reshape(-1, 3), sides_mm, STARTS)
+
+
+@lru_cache(maxsize=4)
 def _strings(law: PolyhedralLaw) -> Strings:
-    """The strings of a law at the loads of its strength, found once; InputError where rings are no strings."""
+    """The strings of a law at the loads of its strength; InputError where rings are no strings."""
     known, info = law.strength, law.cell
     assert known is not None
     if info is None or info.pattern is None or known.joint != "welded":
         why = "butted rings open before" if known.joint != "welded" else "the law does not tell its weave"
         raise InputError(f"strings: {why}; fit a law of welded rings with its cell")
-    found = string_states(info.cell(), known.S, info.sides_mm, STARTS)
+    found = _drawn(info.cell(), known.S.tobytes(), info.sides_mm)
     if (found.h < law.support(known.S) - 1e-3).any():
         raise InputError("strings: are shorter than rings that lock, so the law is not that of its cell; fit it again")
     S, h = (np.vstack([known.S, mirror(known.S)]), np.tile(found.h, 2)) if known.is_mirrored else (known.S, found.h)

@@ -149,7 +149,9 @@ def dead_and_live(problem: CurtainProblem, disc: Discretization) -> tuple[Array,
         edges = mesh.sides[facets]
         lengths = np.hypot(*edges.T)
         force[facet_nodes(mesh, disc, facets)] += (0.5 * lengths / lengths.sum())[:, None] * load
-        cost[facets] += np.linalg.norm(load) * largest_stretch(problem.law, edges) * lengths**2 / (2.0 * lengths.sum())
+        cost[facets] += (
+            np.linalg.norm(load) * largest_stretch(problem.last_law, edges) * lengths**2 / (2.0 * lengths.sum())
+        )
     return force, cost
 
 

@@ -19,7 +19,15 @@ from scipy.spatial import cKDTree
 
 from homogenize import MembraneLaw
 from macro_fem.bounds.equilibrated import DualProblem, at_dual_nodes, dual_problem
-from macro_fem.curtain import CurtainProblem, CurtainSolution, make_problem, slackened, solve_problem
+from macro_fem.curtain import (
+    CurtainProblem,
+    CurtainSolution,
+    flow_of,
+    gathered_start,
+    make_problem,
+    slackened,
+    solve_problem,
+)
 from macro_fem.fem.assembly import internal_force
 from macro_fem.fem.discretization import MEETS, reference_shapes
 from macro_fem.fem.hung_law import largest_stretch
@@ -97,7 +105,8 @@ def bound(solution: CurtainSolution, outer: MembraneLaw | None = None) -> Curtai
     for a piece of the curtain that hangs on a single corner of another.
     """
     begin, upper, inner, area = time.perf_counter(), solution.primal, solution.problem.law, solution.problem.disc.weight
-    gradients = solution.F if solution.problem.disc.n_quad == 3 else np.tile(solution.F, (3, 1, 1))
+    tiles = 3 // solution.problem.disc.n_quad
+    gradients, work = np.tile(solution.F, (tiles, 1, 1)), 0.0 if solution.tau is None else np.tile(solution.tau, tiles)
     flat = linear_part(solution, outer)
     problem = flat.problem
     # How far the start is drawn from the P1 curtain, where steps get stuck, to its slack start; farther: more steps.
@@ -106,10 +115,11 @@ def bound(solution: CurtainSolution, outer: MembraneLaw | None = None) -> Curtai
         dual, result = _solve(flat, 1.0)
     held = dual.fem.positions(np.zeros(dual.fem.n))
     value = result.dual - float((dual.force * held).sum())
-    tether_cost, moment = _tether_cost(dual, problem.law, result, held)
+    tether_cost, moment = _tether_cost(dual, problem.last_law, result, held)
     lower = value - tether_cost - float(dual.load_cost.sum()) + float((problem.force * problem.fem.reference).sum())
-    work = result.wall_forces * dual.walls.gap(at_dual_nodes(flat.x, dual.mesh))  # pushes times distances
-    error = error_map(gradients, dual, result) + work.reshape(-1, dual.fem.disc.n_cells).sum(axis=0)
+    pushed = result.wall_forces * dual.walls.gap(at_dual_nodes(flat.x, dual.mesh))  # pushes times distances
+    error = error_map(gradients, dual, replace(result, psi=result.psi + work))
+    error += pushed.reshape(-1, dual.fem.disc.n_cells).sum(axis=0)
     points = upper - lower - float(error.sum())
     loads = None if outer is None else loads_of(area, solution.S, inner, problem.law)
     return CurtainBounds(
@@ -131,8 +141,12 @@ def _solve(solution: CurtainSolution, inward: float) -> tuple[DualProblem, PathR
     problem, x = solution.problem, at_dual_nodes(slackened(solution, inward), solution.problem.mesh)
     dual = dual_problem(problem, x)
     path = replace(PATH_OF_BOUNDS, max_iterations=problem.scene.solver.max_iterations, cones=solution.cones)
-    load, start, terms = dual.fem.gather(dual.force), dual.fem.unknowns(x), Terms(walls=dual.walls)
-    return dual, solve_path(dual.fem, problem.law, load, start, problem.mesh.size, path, terms)
+    law, terms = problem.law, Terms(walls=dual.walls)
+    if problem.scene.solver.is_plastic:
+        law, terms = problem.plastic_law, replace(terms, flow=flow_of(problem, dual.fem.disc))
+        x = at_dual_nodes(gathered_start(problem), dual.mesh)
+    load, start = dual.fem.gather(dual.force), dual.fem.unknowns(x)
+    return dual, solve_path(dual.fem, law, load, start, problem.mesh.size, path, terms)
 
 
 def linear_part(solution: CurtainSolution, outer: MembraneLaw | None) -> CurtainSolution:
@@ -208,7 +222,8 @@ def levels(first: CurtainSolution, outer: MembraneLaw | None = None) -> Iterator
             return
         mesh = refine(solution.problem.mesh, mark(bounds.error))
         with part_of(f"{mesh.mesh.t.shape[1]} cells"):
-            solution = solve_problem(with_cones_of(admissible_problem(scene, law, mesh), solution))
+            problem = admissible_problem(scene, law, mesh)
+            solution = solve_problem(problem if solution.tau is not None else with_cones_of(problem, solution))
         if solution.status != "converged":
             return
 

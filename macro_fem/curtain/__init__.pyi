@@ -13,6 +13,7 @@ from .shape import solve_shape as solve_shape
 from .solution import CurtainSolution as CurtainSolution
 from .solution import slackened as slackened
 from .solve import NOT_UNIQUE as NOT_UNIQUE
+from .solve import flow_of as flow_of
 from .solve import forces_by as forces_by
 from .solve import forces_note as forces_note
 from .solve import is_alike as is_alike

@@ -110,6 +110,11 @@ class CurtainProblem:
         """The law of a curtain whose rings flow."""
         return self.law.plastic(strings=self.scene.solver.strings)
 
+    @property
+    def last_law(self) -> HungLaw:
+        """The law beyond which the curtain does not stretch: that of strings where rings flow until they are some."""
+        return self.plastic_law.drawn() if self.scene.solver.strings else self.law
+
 
 def make_problem(
     scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: float = 1.0, released: frozenset[int] | None = None

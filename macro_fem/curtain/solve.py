@@ -17,6 +17,7 @@ from macro_fem.curtain.shape import solve_shape
 from macro_fem.curtain.solution import CurtainSolution, slackened
 from macro_fem.curtain.state import InnerForces
 from macro_fem.fem.cells import components
+from macro_fem.fem.discretization import Discretization
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.supports import check_pins
 from macro_fem.solvers.central_path import solve_path
@@ -122,8 +123,7 @@ def supports_reach(problem: CurtainProblem, start: CurtainSolution | None = None
         before = start.problem.fem
         if is_alike(fem, before) and np.array_equal(fem.x_held, before.x_held):
             return start.reach
-    law = problem.plastic_law.drawn() if problem.scene.solver.strings else problem.law
-    return reach_of(fem, law, fem.unknowns(gathered_start(problem)), problem.mesh.size)
+    return reach_of(fem, problem.last_law, fem.unknowns(gathered_start(problem)), problem.mesh.size)
 
 
 def _solve_within_reach(
@@ -140,9 +140,8 @@ def _solve_within_reach(
         return solve_path(problem.fem, law, load, z, size, replace(options, least_gap=SOLVE.elastic_gap), terms), None
 
     if problem.scene.solver.is_plastic:
-        law = problem.plastic_law
-        terms = Terms(walls=problem.walls, flow=Flow(strength_at_points(problem, problem.disc), law.flowing()))
-        return solve_path(problem.fem, law, load, z, size, options, terms), None
+        terms = Terms(walls=problem.walls, flow=flow_of(problem, problem.disc))
+        return solve_path(problem.fem, problem.plastic_law, load, z, size, options, terms), None
 
     def solve(fem: SupportedFem, z: Array, options: PathOptions, walls: Walls) -> PathResult:
         return solve_path(fem, problem.law, load, z, size, options, Terms(walls=walls))
@@ -150,6 +149,11 @@ def _solve_within_reach(
     if reach.is_at_limit:
         return solve_at_stretch_limit(solve, problem.fem, z, options, reach, problem.walls)
     return solve(problem.fem, z, options, problem.walls), None
+
+
+def flow_of(problem: CurtainProblem, disc: Discretization) -> Flow:
+    """How rings flow at the points of a discretisation of the problem."""
+    return Flow(strength_at_points(problem, disc), problem.plastic_law.flowing())
 
 
 def make_solution(

@@ -8,14 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from scipy.optimize import brentq
 
 from homogenize.laws import PlasticLaw
+from macro_fem.bounds.interval import bound
 from macro_fem.curtain import CurtainProblem, CurtainSolution, solve_problem
 from macro_fem.scene.loads import nodal_forces
+from macro_fem.scene.moving import scaled
+from macro_fem.scene.scene import Scene
+from macro_fem.scene.tables import FACTORED, Bar, Load
 from macro_fem.solvers.status import Status
 from rve.common import Array, NotConverged, part_of
 from rve.wire import rupture_stress
@@ -29,8 +33,8 @@ ROUGH = 1e-3
 @dataclass(frozen=True)
 class Rupture:
     """Where strings break, as the least and the largest of: tension over the area of the wire; factor on the live
-    loads; mean way of the loaded points along them from where they are drawn; plastic work until then. As `Limit` has
-    them.
+    loads; mean way of the loaded points along them from where they are drawn; plastic work until then, the least one
+    that of the continuous curtain where the scene asks for bounds. As `Limit` has them.
     """
 
     rupture_stress_N_per_mm2: list[float]
@@ -63,6 +67,15 @@ def _live_loads(problem: CurtainProblem) -> Array:
     return nodal_forces(scene, problem.mesh, disc, cell) - nodal_forces(scene, problem.mesh, disc, cell, 0.0)
 
 
+def _times(scene: Scene, factor: float) -> Scene:
+    """The scene with its live loads times a factor."""
+    items = tuple(
+        scaled(one, factor, FACTORED) if isinstance(one, Load) and not isinstance(one, Bar) else one
+        for one in scene.items
+    )
+    return replace(scene, items=items)
+
+
 def find_rupture(solution: CurtainSolution) -> Rupture | None:
     """Where strings break under the live loads of a solved curtain, moves as they are; None without live loads, strings
     or an ultimate stress. NotConverged where a curtain on the way is not solved, or no load breaks strings.
@@ -76,16 +89,25 @@ def find_rupture(solution: CurtainSolution) -> Rupture | None:
         return None
 
     @cache
-    def at(log: float) -> list[float]:
+    def at(log: float) -> CurtainSolution:
         factor = float(np.exp(log))
         with part_of(f"{problem.disc.n_cells} cells, {factor:.3g} times the live loads"):
-            found = solve_problem(replace(problem, dead=problem.dead + (factor - problem.factor) * live), solution)
+            dead = problem.dead + (factor - problem.factor) * live
+            found = solve_problem(replace(problem, scene=_times(problem.scene, factor), dead=dead), solution)
         if found.status != Status.CONVERGED:
             raise NotConverged(f"the curtain under {factor:.3g} times the live loads ends as {found.status}")
-        return [factor, live_way(found) or 0.0, found.plastic_work or 0.0, string_stress(found) or 0.0]
+        return found
 
-    ends = [at(_crossing(lambda log, limit=limit: at(log)[3] / limit - 1.0)) for limit in band]  # type: ignore[misc]
-    return Rupture(list(band), *(sorted(pair) for pair in zip(*(end[:3] for end in ends), strict=True)))
+    def excess(log: float, limit: float) -> float:
+        return (string_stress(at(log)) or 0.0) / limit - 1.0
+
+    logs = sorted(_crossing(partial(excess, limit=limit)) for limit in band)
+    first, last = map(at, logs)
+    ways, energies = ([of(first) or 0.0, of(last) or 0.0] for of in (live_way, lambda one: one.plastic_work))
+    if problem.scene.solver.is_bounded:
+        is_known = np.allclose(_live_loads(first.problem), np.exp(logs[0]) * live)  # of loads of plugins it may not be
+        energies[0] = max(0.0, energies[0] - bound(first).gap) if is_known else 0.0
+    return Rupture(list(band), np.exp(logs).tolist(), ways, energies)
 
 
 def _crossing(excess: Callable[[float], float]) -> float:

@@ -164,9 +164,9 @@ def weave_of(cell: CellInfo | None, hang_deg: float) -> WeaveOfLaw:
 
 
 def is_mean_height(problem: CurtainProblem) -> bool:
-    """Whether the potential tells the mean height: the curtain's own weight is the only load."""
+    """Whether the potential tells the mean height: of rigid rings, with the curtain's own weight as the only load."""
     x, y, z = problem.scene.load.acceleration
-    is_down = x == z == 0.0 and y < 0.0
+    is_down = x == z == 0.0 and y < 0.0 and not problem.scene.solver.is_plastic
     return is_down and not problem.scene.of(Load) and bool(np.abs(problem.force).sum() > 0.0)
 
 
@@ -195,8 +195,14 @@ def interval_summary(levels: Sequence[CurtainBounds]) -> Bounds:
     mesh = last.gap - (law or 0.0)
     if not is_mean_height(problem):
         ends = [last.lower, last.upper]
+        work = last.solution.plastic_work
         return Bounds(
-            bounds=lines[-1], levels=lines, potential_interval_N_mm=ends, law_part_N_mm=law, mesh_part_N_mm=mesh
+            bounds=lines[-1],
+            levels=lines,
+            potential_interval_N_mm=ends,
+            plastic_work_interval_N_mm=None if work is None else [max(0.0, work - last.gap), work],
+            law_part_N_mm=law,
+            mesh_part_N_mm=mesh,
         )
     total = float(np.abs(problem.force).sum())
     return Bounds(

@@ -267,6 +267,8 @@ def interval_line(summary: CurtainSummary) -> str:
     if ends is None:
         what, unit = "potential", "N mm"
         ends, law, mesh = summary.potential_interval_N_mm, summary.law_part_N_mm, summary.mesh_part_N_mm
+    if summary.plastic_work_interval_N_mm is not None:
+        what, ends = "plastic work", summary.plastic_work_interval_N_mm
     (low, high), (of, part) = ends or (), ("law", "") if law is None else ("rings", f"law {digits(law)}, ")
     text = f"{what} of the {of} in [{low:.6g}, {high:.6g}] {unit}: {part}mesh {digits(mesh or 0.0)} {unit}"
     if summary.ring_solves is None:

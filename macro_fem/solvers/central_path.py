@@ -20,7 +20,7 @@ from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.solvers import soc
 from macro_fem.solvers.cone_program import ConeState, Measure, Program, compliance_root, find_first_state, measure
-from macro_fem.solvers.cone_step import advance, find_nearest, find_step, join, prune
+from macro_fem.solvers.cone_step import STEP, advance, find_nearest, find_step, join, prune
 from macro_fem.solvers.cones import all_cuts, first_cones, green_strain, least_slack
 from macro_fem.solvers.path import PATH, RIGID_TERMS, PathOptions, PathResult, Terms
 from macro_fem.solvers.status import FREE, Evidence, Reach, load_scale
@@ -94,6 +94,10 @@ class _Place:
         E = program.locked(program.fem.gradient(z), self.state.eps)
         return -min(least_slack(program.law, E), float(program.rows.slack(z).min(initial=np.inf)))
 
+    def relative(self, options: PathOptions) -> PathOptions:
+        """The options, the gap of a limit relative to it where it is larger than 1."""
+        return replace(options, gap=options.gap * max(1.0, self.state.factor)) if self.program.is_limit else options
+
     @property
     def evidence(self) -> Evidence:
         """The errors of this place as an answer."""
@@ -139,10 +143,10 @@ def _follow(place: _Place, options: PathOptions) -> tuple[_Place, str, _Place, i
     """Where the path from a place ends, why, the place near it with the largest margin, and how many steps."""
     inner, best = replace(place, interior_margin=-place.violation), place
     prunes, steps, waited, held = list(options.pruned_at), 0, 0, 0
-    while (stop := _find_stop(place, inner, options, steps)) is None:
+    while (stop := _find_stop(place, inner, place.relative(options), steps)) is None:
         points = len(place.program.fem.disc.weight)
         tell(f"curtain of {points} points, gap {place.now.gap:.0e} down to {options.gap:.0e}")
-        after = None if waited > STOP.patience else _try_step(place, options, may_wait=held < STOP.anew)
+        after = None if waited > STOP.patience else _try_step(place, place.relative(options), may_wait=held < STOP.anew)
         if after is None:
             return best, "stalled", inner, steps
         known, (program, state, is_moved, margin) = len(place.program.c), after
@@ -221,7 +225,7 @@ def _make_result(place: _Place, stop: str, inner: _Place, steps: int, options: P
     """The record, its numbers those of the answer it holds."""
     answer = place if stop in ("infeasible", "blocked") else _draw_inside(place, inner, options)
     program, y = place.program, place.state.y
-    tail = y.tail[:, program.lead :]
+    tail, options = y.tail[:, program.lead :], place.relative(options)
     excess = place.now.dual * program.scale / float((program.w * y.head * program.c).sum())
     lam = program.carried(y) / (place.state.s.head if program.flow else program.c)
     return PathResult(
@@ -252,8 +256,9 @@ def find_flow(program: Program, z: Array) -> Array:
         cut = all_cuts(program.flow.law, program.locked(F, tau[:, None]))
         assert cut.extra is not None
         radius = np.sqrt(np.maximum((cut.S * WEIGHT * C).sum(axis=1), 0.0))
-        offset = np.sqrt(2.0 * cut.h + 1.0) * (not program.is_limit)
-        asked = np.maximum(tau, (radius - offset) / cut.extra * program.flow.strength)
+        beyond = radius - np.sqrt(2.0 * cut.h + 1.0) * (not program.is_limit)
+        beyond[beyond < STEP.rounded * radius] = 0.0  # work of rounding, which is more than that of the smallest loads
+        asked = np.maximum(tau, beyond / cut.extra * program.flow.strength)
         if not (asked > tau * (1.0 + 1e-12)).any():
             break
         tau = asked

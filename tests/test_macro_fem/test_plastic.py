@@ -241,11 +241,8 @@ def check_random(seed):
     if worst is not None:
         assert limit.upper >= worst / problem.plastic_law.own.difference * (1.0 - 1e-6)
     again = curtain_limit(posed(tables, weaker(limit.factor)))
+    assert limit.status == again.status == "converged"
     assert not again.is_passed
-    if again.status != "converged":  # seed 56: of rings 362 times weaker no step leads off, which the status says
-        assert again.lower == 0.0
-        assert again.upper == np.inf
-        return False
     found = solve_problem(posed(tables, weaker(0.999 * limit.factor)))  # next to the limit rounding may stall the shape
     assert found.status == "converged", found.message
     assert found.tau.min() >= 0.0
