@@ -49,7 +49,7 @@ def advance(moving: Moving, moments: list[Moment], forces: Sequence[Any], h: flo
     problem, fem, mass = moving
     now, before = moments[-1], moments[-2] if len(moments) > 1 else None
     step = TimeStep(now, before, h, mass, *forces)
-    result, walls = solve_step(problem, fem, step, None, tangents)
+    result, walls = solve_step(problem, fem, step, (None, None), tangents)
     assert result.status == "converged", result.message
     end = end_of(problem, fem, step, result, walls)
     touched = 0.0
@@ -188,7 +188,7 @@ def test_an_answer_of_a_step_has_a_gap_and_no_better_neighbour():
     moving, X = free_sheet(cells=3)
     v = rng.normal(scale=2000.0, size=X.shape)
     step = TimeStep(Moment(0.0, X, v), None, 0.02, moving.mass, np.zeros_like(X), np.zeros_like(X))
-    result, _ = solve_step(moving.problem, moving.fem, step, None, untouched)
+    result, _ = solve_step(moving.problem, moving.fem, step, (None, None), untouched)
     end = moving.fem.positions(result.z)
     assert 0.0 <= result.evidence.gap < 1e-8
 
