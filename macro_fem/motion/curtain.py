@@ -53,8 +53,7 @@ AT_IMPACTS = (
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MotionFrame(Frame, CurtainState):
     """A curtain of nodes and bodies: forces (n_nodes, d) of the supports on it and (k, n_nodes, d) of each of the
-    `obstacles`, N, and the relative gap and half-spaces of the step, with
-    their multipliers."""
+    `obstacles`, N, the relative gap, and the half-spaces of the step with their multipliers."""
 
     supports: Array
     pushes: Array

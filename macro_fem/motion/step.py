@@ -250,8 +250,10 @@ class TurnOptions:
     settled: float = 1e-4
     """How often tangent half-spaces are found anew at most, and reactions that may still turn, over all forces."""
     gap: float = 1e-10
+    least_gap: float = 1e-2
     first_gap: float = 1.0
-    """Relative gap that a step is solved to, and that of its first state in energy scales."""
+    """Relative gap that a step is solved to, the part of it that its path is followed to (forces of slack half-spaces
+    drift over many steps with larger ones), and the gap of its first state in cones, in energy scales."""
 
 
 TURNS = TurnOptions()
@@ -271,8 +273,9 @@ def solve_step(
     if problem.scene.solver.is_elastic:
         law, compliance = problem.elastic_law, problem.elastic_law.compliance
     load = fem.gather(step.dead + step.live)
-    path = PathOptions(gap=TURNS.gap, violation=1e-9, drawn=False, first_gap=TURNS.first_gap)
-    path = replace(path, cones=known[0], lam=known[1])
+    cones, lam = known
+    path = PathOptions(TURNS.gap, 1e-9, drawn=False, first_gap=TURNS.first_gap, least_gap=TURNS.least_gap)
+    path = replace(path, cones=cones, lam=lam)
     place, walls = step.now.x, tangents(step.now.x)
     for rounds in range(1, TURNS.rounds + 1):
         terms = Terms(compliance, walls=walls, inertia=inertia)
