@@ -240,7 +240,6 @@ def _make_result(place: _Place, stop: str, inner: _Place, steps: int, options: P
         S=program.cones.stress(lam),
         psi=program.cones.sum(program.c * np.sqrt(soc.row_dot(tail, tail))),
         cones=program.cones,
-        lam=lam,
         P=-program.pull(y)[0],
         primal=answer.primal,
         dual=answer.lower,
@@ -248,6 +247,7 @@ def _make_result(place: _Place, stop: str, inner: _Place, steps: int, options: P
         reach=Reach(0.0, 1.0 / (1.0 + excess)) if stop == "infeasible" else FREE,
         wall_forces=program.rows.reactions(place.state.u),
         tau=answer.tau,
+        lam=lam,
         S_strings=program.cones.stress(lam * (program.N[:, 0] == 0.0)) if program.flow else None,
     )
 

@@ -149,7 +149,6 @@ class PathResult(Judged):
     S: Array
     psi: Array
     cones: Cones
-    lam: Array
     P: Array
     primal: float
     dual: float
@@ -158,6 +157,7 @@ class PathResult(Judged):
     reach: Reach = FREE
     tau: Array | None = None
     S_strings: Array | None = None
+    lam: Array | None = None
 
     @cached_property
     def verdict(self) -> Verdict:
