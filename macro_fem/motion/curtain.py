@@ -53,13 +53,14 @@ AT_IMPACTS = (
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MotionFrame(Frame, CurtainState):
     """A curtain of nodes and bodies: forces (n_nodes, d) of the supports on it and (k, n_nodes, d) of each of the
-    `obstacles`, N, and the relative gap and half-spaces of the step."""
+    `obstacles`, N, the relative gap, and the half-spaces of the step with their multipliers."""
 
     supports: Array
     pushes: Array
     balls: tuple[Ball, ...]
     relative_gap: float = 0.0
     cones: Cones | None = None
+    lam: Array | None = None
 
     reactions = property(lambda self: self.supports)
     pushed = property(lambda self: self.pushes)
@@ -152,7 +153,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
         # mm that nodes at rest may go in a step before balls are looked at again.
         for reach in (way + 10.0, np.inf):
             contacts = Contacts(problem, balls, frame.problem, reach)
-            result, walls = solve_step(problem, fem, step, frame.cones, contacts.tangents)
+            result, walls = solve_step(problem, fem, step, (frame.cones, frame.lam), contacts.tangents)
             _check(result, now.t + h)
             if max(contacts.depths(fem.positions(result.z)), default=0.0) <= TOUCHED * self.size + 1e-7 * reach:
                 break  # else points without a half-space are inside a ball
@@ -175,6 +176,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
             balls=balls,
             relative_gap=result.evidence.gap,
             cones=result.cones,
+            lam=result.lam,
         )
 
     def peaks(self, frame: MotionFrame) -> list[float]:
@@ -226,7 +228,7 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
     def pack(self, frame: MotionFrame) -> Kept:
         cones = {} if frame.cones is None else {f"cone_{name}": one for name, one in vars(frame.cones).items()}
         of_law: Kept = {"P": frame.P, "S": frame.S, "supports": frame.supports, "pushes": frame.pushes}
-        kept = of_law | {"relative_gap": frame.relative_gap} | cones
+        kept = of_law | {"relative_gap": frame.relative_gap, "lam": frame.lam} | cones
         return {name: one for name, one in kept.items() if one is not None}
 
     def unpack(self, moment: Moment, account: Account, kept: Kept) -> MotionFrame:

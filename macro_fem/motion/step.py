@@ -43,10 +43,10 @@ import numpy as np
 from macro_fem.curtain import CurtainProblem
 from macro_fem.fem.assembly import gradient, internal_force
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import Cones, green_strain
 from macro_fem.solvers.path import Inertia, PathOptions, PathResult, Terms, times
 from macro_fem.solvers.walls import Walls
+from macro_fem.solvers.warm_path import solve_step_path
 from rve.common import Array
 
 
@@ -250,28 +250,36 @@ class TurnOptions:
     settled: float = 1e-4
     """How often tangent half-spaces are found anew at most, and reactions that may still turn, over all forces."""
     gap: float = 1e-10
+    least_gap: float = 1e-2
     first_gap: float = 1.0
-    """Relative gap that a step is solved to, and that of its first state in energy scales."""
+    """Relative gap that a step is solved to, the part of it that its path is followed to (forces of slack half-spaces
+    drift over many steps with larger ones), and the gap of its first state in cones, in energy scales."""
 
 
 TURNS = TurnOptions()
 
 
 def solve_step(
-    problem: CurtainProblem, fem: SupportedFem, step: TimeStep, cones: Cones | None, tangents: Callable[[Array], Walls]
+    problem: CurtainProblem,
+    fem: SupportedFem,
+    step: TimeStep,
+    known: tuple[Cones | None, Array | None],
+    tangents: Callable[[Array], Walls],
 ) -> tuple[PathResult, Walls]:
-    """The solver's record of a step of the curtain of a problem, with the nodes of `fem`, by the half-spaces `cones` of
-    the step before; and half-spaces of obstacles. tangents: those where obstacles and bodies are closest to nodes at x
-    (n, d)."""
+    """The solver's record of a step of the curtain of a problem, with the nodes of `fem`, from the half-spaces of the
+    step before and their multipliers, `known`; and half-spaces of obstacles. tangents: those where obstacles and bodies
+    are closest to nodes at x (n, d)."""
     law, inertia, compliance = problem.law, step.inertia(fem), np.zeros((3, 3))
     if problem.scene.solver.is_elastic:
         law, compliance = problem.elastic_law, problem.elastic_law.compliance
     load = fem.gather(step.dead + step.live)
-    path = PathOptions(gap=TURNS.gap, violation=1e-9, cones=cones, drawn=False, first_gap=TURNS.first_gap)
+    cones, lam = known
+    path = PathOptions(TURNS.gap, 1e-9, drawn=False, first_gap=TURNS.first_gap, least_gap=TURNS.least_gap)
+    path = replace(path, cones=cones, lam=lam)
     place, walls = step.now.x, tangents(step.now.x)
     for rounds in range(1, TURNS.rounds + 1):
         terms = Terms(compliance, walls=walls, inertia=inertia)
-        result = solve_path(fem, law, load, fem.unknowns(place), problem.mesh.size, path, terms)
+        result = solve_step_path(fem, law, load, fem.unknowns(place), problem.mesh.size, path, terms)
         place = fem.positions(result.z)
         if not len(walls) or result.status != "converged" or rounds == TURNS.rounds:
             break
@@ -280,7 +288,7 @@ def solve_step(
         turned /= float(np.abs(result.wall_forces).sum() + np.abs(load).sum() + inertia.force_scale)
         if turned < TURNS.settled:
             break
-        walls, path = anew, replace(path, cones=result.cones)
+        walls, path = anew, replace(path, cones=result.cones, lam=result.lam, pushes=result.wall_forces)
     return result, walls
 
 

@@ -17,3 +17,4 @@ from .status import Status as Status
 from .status import load_scale as load_scale
 from .walls import WallRows as WallRows
 from .walls import Walls as Walls
+from .warm_path import WARM as WARM

@@ -119,10 +119,19 @@ def solve_path(
     `size` (mm) is the extent of the curtain: with the total load it makes the energy scale. A start well inside the law
     keeps the path inside and makes the primal value a bound.
     """
+    program, _ = make_program(fem, law, load, size, options, terms)
+    first = _Place.at(program, find_first_state(program, start, options.first_gap))
+    return _make_result(*_follow(first, options), options)
+
+
+def make_program(
+    fem: SupportedFem, law: MembraneLaw, load: Array, size: float, options: PathOptions, terms: Terms
+) -> tuple[Program, Array | None]:
+    """The program of `solve_path`, and the multipliers of its half-spaces where they are known."""
     loads, inertia = load_scale(load, fem.disc.weight), terms.inertia
-    own, cones = law.half_spaces(), options.cones
+    own, cones, lam = law.half_spaces(), options.cones, options.lam
     if cones is None or (cones.extra is None) != (own.extra is None):  # those of rigid rings do not widen
-        cones = first_cones(own, len(fem.disc.weight))
+        cones, lam = first_cones(own, len(fem.disc.weight)), None
     program = Program(
         fem=fem,
         law=law,
@@ -135,8 +144,7 @@ def solve_path(
         inertia=inertia,
         flow=terms.flow,
     )
-    first = _Place.at(program, find_first_state(program, start, options.first_gap))
-    return _make_result(*_follow(first, options), options)
+    return program, lam
 
 
 def _follow(place: _Place, options: PathOptions) -> tuple[_Place, str, _Place, int]:
@@ -243,6 +251,7 @@ def _make_result(place: _Place, stop: str, inner: _Place, steps: int, options: P
         reach=Reach(0.0, 1.0 / (1.0 + excess)) if stop == "infeasible" else FREE,
         wall_forces=program.rows.reactions(place.state.u),
         tau=answer.tau,
+        lam=lam,
         S_strings=program.cones.stress(lam * (program.N[:, 0] == 0.0)) if program.flow else None,
     )
 

@@ -12,7 +12,7 @@ import numpy as np
 from homogenize.laws import Cut
 from macro_fem.solvers import soc
 from macro_fem.solvers.cone_program import LIFT, ConeState, Measure, Program, mean_product
-from macro_fem.solvers.cones import all_cuts, times_root, with_cuts
+from macro_fem.solvers.cones import add_stress, all_cuts, times_root, with_cuts
 from macro_fem.solvers.soc import Vectors
 from macro_fem.solvers.walls import longest
 from rve.common import Array
@@ -89,12 +89,7 @@ class _Newton:
         first = w.tail[:, : program.lead].sum(axis=1) - w.head
         q = np.column_stack([first[:, None] * program.N, q]) if k else q
         H = cones.sum_of_squares(q, 2.0 * inv2)
-        S = cones.stress(inv2)
-        for a in range(k, k + 2 * d, 2):
-            H[:, a, a] += S[:, 0]
-            H[:, a, a + 1] += S[:, 1]
-            H[:, a + 1, a] += S[:, 1]
-            H[:, a + 1, a + 1] += S[:, 2]
+        add_stress(H[:, k:, k:], cones.stress(inv2))
         if k:
             H = np.ascontiguousarray(H)
             H[:, range(k), range(k)] += 1.0 if program.flow is None else state.v / state.eps

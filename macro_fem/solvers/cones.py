@@ -83,6 +83,15 @@ def times_root(F: Array, L: Array, which: np.ndarray | slice = slice(None)) -> A
     return out.reshape(-1, len(L)).T
 
 
+def add_stress(H: Array, S: Array) -> None:
+    """Add S (n, 3) to the blocks (n, 2 d, 2 d) of dF: the stiffness of stresses that turn with F."""
+    for i in range(0, H.shape[1], 2):
+        H[:, i, i] += S[:, 0]
+        H[:, i, i + 1] += S[:, 1]
+        H[:, i + 1, i] += S[:, 1]
+        H[:, i + 1, i + 1] += S[:, 2]
+
+
 def symmetric_roots(S: Array) -> Array:
     """Symmetric L with L L = S as triples (n, 3), for positive semidefinite triples S (n, 3), also of rank one."""
     det = np.sqrt(np.maximum(S[:, 0] * S[:, 2] - S[:, 1] ** 2, 0.0))

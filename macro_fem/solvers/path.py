@@ -24,7 +24,8 @@ class PathOptions:
     """When to stop. `gap` is relative to the energy scale, total load times size, and holds for unbalanced forces too.
 
     `violation` (relative to h + tr S/2) is what the last step may leave of the law. `cones` are half-spaces to begin
-    with instead of the law's own few. `drawn`: whether a rigid answer is drawn back inside the law; without, only its
+    with instead of the law's own few; of a step of motion also their multipliers `lam` (nc,) in N/mm and the `pushes`
+    (m,) of its walls in N. `drawn`: whether a rigid answer is drawn back inside the law; without, only its
     dual value is a bound. `enough` ends the path as soon as it is true of the unknowns z and the dual value.
     """
 
@@ -32,6 +33,8 @@ class PathOptions:
     violation: float = 1e-8
     max_iterations: int = 400
     cones: Cones | None = None
+    lam: Array | None = None
+    pushes: Array | None = None
     drawn: bool = True
     enough: Callable[[Array, float], bool] | None = None
     first_gap: float = 10.0
@@ -132,8 +135,9 @@ class PathResult(Judged):
     `stop` is why the solver stopped, `evidence` the errors of the answer, `asked` what they must not exceed. `primal`
     is -l.z plus the stored energy, an upper bound of the least potential of this discretisation where the law is
     obeyed, `dual` a lower bound of it, N mm, without the constant that supports add. Equilibrated stress in N per mm of
-    reference length: P (nq, d, 2), and tensile S = sum of lam_i S_i (nq, 3), with P = F S at the exact answer; psi
-    (nq,): sum of c |y_FL|, no less than any P:F in the law. wall_forces (m,), N: the reaction of each half-space.
+    reference length: P (nq, d, 2), and tensile S = sum of lam_i S_i (nq, 3), lam (nc,) of the `cones`, with P = F S at
+    the exact answer; psi (nq,): sum of c |y_FL|, no less than any P:F in the law. wall_forces (m,), N: the reaction of
+    each half-space.
     Of rings that flow tau (nq,), N/mm, is the plastic work per area, and S_strings (nq, 3) what strings bear of S;
     where their limit is asked for, `dual` and `primal` bound the factor on the load.
     """
@@ -153,6 +157,7 @@ class PathResult(Judged):
     reach: Reach = FREE
     tau: Array | None = None
     S_strings: Array | None = None
+    lam: Array | None = None
 
     @cached_property
     def verdict(self) -> Verdict:

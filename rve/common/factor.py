@@ -57,7 +57,8 @@ class Factorizer:
 
 def _superlu(matrix: sparse.csc_matrix) -> Solve | Index:
     try:
-        lu = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        how = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "panel_size": 4}  # of 20: a fifth slower
+        lu = splu(matrix, **how, options={"SymmetricMode": True})
     except RuntimeError:  # SuperLU's only sign of an exactly singular matrix
         return np.arange(matrix.shape[0])
     if not np.array_equal(lu.perm_r, lu.perm_c):

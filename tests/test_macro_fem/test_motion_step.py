@@ -12,7 +12,7 @@ from macro_fem import read_scene
 from macro_fem.curtain import CurtainProblem
 from macro_fem.fem import SupportedFem, load_vector, with_loose_nodes
 from macro_fem.motion import Account, Moment, TimeStep, end_of, kinetic_energy, solve_step
-from macro_fem.solvers import Inertia, WallRows, Walls, green_strain
+from macro_fem.solvers import WARM, Inertia, WallRows, Walls, green_strain
 from tests.test_macro_fem.sheets import posed, sheet
 
 BALL = 0.5e-3
@@ -49,7 +49,7 @@ def advance(moving: Moving, moments: list[Moment], forces: Sequence[Any], h: flo
     problem, fem, mass = moving
     now, before = moments[-1], moments[-2] if len(moments) > 1 else None
     step = TimeStep(now, before, h, mass, *forces)
-    result, walls = solve_step(problem, fem, step, None, tangents)
+    result, walls = solve_step(problem, fem, step, (None, None), tangents)
     assert result.status == "converged", result.message
     end = end_of(problem, fem, step, result, walls)
     touched = 0.0
@@ -183,12 +183,40 @@ def test_matrix_of_loose_nodes_is_that_of_dense_algebra(is_tied):
     assert inertia.deficit(b) == pytest.approx(0.5 * b @ np.linalg.solve(sparse.block_diag(list(W)).toarray(), b))
 
 
+@pytest.mark.parametrize("elastic", [False, True], ids=["rigid", "elastic"])
+def test_steps_from_multipliers_are_those_in_cones_with_overlapping_bounds(elastic, monkeypatch):
+    """A ball strikes a sheet that spins: the slack path needs no cones, and no more iterations from multipliers."""
+    moving, X = free_sheet(3, balls=1, elastic=elastic)
+    x = np.vstack([X, [140.0, 170.0, 41.0]])
+    v = np.cross([0.0, 0.0, 6.0], x - x.mean(axis=0))
+    v[-1] = [200.0, 0.0, -3000.0]
+    step = TimeStep(Moment(0.0, x, v), None, 4e-3, moving.mass, np.zeros_like(x), np.zeros_like(x))
+
+    def solve(known):
+        return solve_step(moving.problem, moving.fem, step, known, ball_tangents(len(X), 40.0))[0]
+
+    with monkeypatch.context() as patch:
+        patch.setattr("macro_fem.solvers.warm_path.solve_path", None)
+        cold = solve((None, None))
+        warm = solve((cold.cones, cold.lam))
+    monkeypatch.setattr("macro_fem.solvers.warm_path.WARM", replace(WARM, most_steps=0))
+    in_cones = solve((None, None))
+    assert warm.iterations <= cold.iterations
+    scale, largest = kinetic_energy(moving.mass, v), np.abs(in_cones.P).max()
+    for one in (cold, warm):
+        assert one.status == in_cones.status == "converged"
+        assert one.dual <= in_cones.primal + 1e-8 * scale
+        assert in_cones.dual <= one.primal + 1e-8 * scale
+        assert moving.fem.positions(one.z) == pytest.approx(moving.fem.positions(in_cones.z), abs=1e-3)
+        assert moving.fem.force(one.P - in_cones.P) == pytest.approx(0.0, abs=1e-3 * largest * 300.0)
+
+
 def test_an_answer_of_a_step_has_a_gap_and_no_better_neighbour():
     rng = np.random.default_rng(5)
     moving, X = free_sheet(cells=3)
     v = rng.normal(scale=2000.0, size=X.shape)
     step = TimeStep(Moment(0.0, X, v), None, 0.02, moving.mass, np.zeros_like(X), np.zeros_like(X))
-    result, _ = solve_step(moving.problem, moving.fem, step, None, untouched)
+    result, _ = solve_step(moving.problem, moving.fem, step, (None, None), untouched)
     end = moving.fem.positions(result.z)
     assert 0.0 <= result.evidence.gap < 1e-8
 
