@@ -95,8 +95,13 @@ class _Place:
         return -min(least_slack(program.law, E), float(program.rows.slack(z).min(initial=np.inf)))
 
     def relative(self, options: PathOptions) -> PathOptions:
-        """The options, the gap of a limit relative to it where it is larger than 1."""
-        return replace(options, gap=options.gap * max(1.0, self.state.factor)) if self.program.is_limit else options
+        """The options, the gap of a limit relative to it, and of rings that flow to the sum of stress times
+        deformation over the energy scale, where these are larger than 1: supports may draw rings harder than loads."""
+        program, state = self.program, self.state
+        if program.flow is None:
+            return options
+        drawn = float((program.w * program.c * state.y.head).sum()) / program.scale
+        return replace(options, gap=options.gap * max(1.0, state.factor if program.is_limit else drawn))
 
     @property
     def evidence(self) -> Evidence:
