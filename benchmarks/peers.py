@@ -16,6 +16,7 @@ import numpy as np
 
 from benchmarks.cone_form import ConeForm, by_clarabel, by_qoco, gradient_matrix
 from benchmarks.every_ring import engine, let_go
+from benchmarks.every_ring.cases import SHEETS
 from benchmarks.frame import Section, table
 from benchmarks.measure import Row, decade
 from benchmarks.problems import square
@@ -159,7 +160,7 @@ def rings_in_motion(k: int, steps: tuple[float, ...]) -> list[Row]:
     programs: dict[str, Callable[[], Any]] = {"ours": MovingRings(scene).solve}
     done = in_turn(programs | {f"{dt:g}": partial(engine.fall, begun, let_go.DURATION, dt) for dt in steps})
     mine = np.array([frame.row for frame in done["ours"].found.frames])[:, let_go.MEAN]
-    height, rows = let_go.SHEETS[0].sides(k)[1], []
+    height, rows = SHEETS[0].sides(k)[1], []
     for dt in steps:
         fallen = done[f"{dt:g}"].found
         away = np.linalg.norm(fallen.mean - mine - (fallen.mean - mine)[0], axis=1).max()

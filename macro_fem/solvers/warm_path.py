@@ -106,7 +106,7 @@ def _solve_slacks(
     for steps in range(WARM.most_steps + 1):
         F = program.fem.gradient(state.z)
         program, state, g, violation = _join(program, state, program.locked(F, state.eps))
-        newton = _Newton(program, state, F, g)
+        newton = _SlackNewton(program, state, F, g)
         evidence = replace(newton.evidence, violation=max(violation, -float(newton.b.min(initial=np.inf))))
         products = state.products(program) / program.scale
         is_close = max(products, abs(evidence.gap)) < options.gap and evidence.violation < options.violation
@@ -143,7 +143,7 @@ def _first_state(program: Program, z: Array, lam: Array | None, u: Array | None)
     gap = WARM.cold_gap
     if not is_cold:
         start = _State(z, eps, np.abs(g), lam, np.abs(b), u)
-        off = _Newton(program, start, F, g).off
+        off = _SlackNewton(program, start, F, g).off
         gap = min(gap, max(WARM.least_gap, WARM.of_start * (start.products(program) / program.scale + off)))
     mu = gap * program.scale / float(program.fem.disc.weight.sum())
     is_near = (lam > WARM.idle * cones.sum(lam)[cones.point]) | (g < WARM.far)
@@ -175,7 +175,7 @@ def _join(program: Program, state: _State, E: Array) -> tuple[Program, _State, A
     return replace(program, cones=wider), replace(state, s=s, lam=lam), g, violation
 
 
-class _Newton:
+class _SlackNewton:
     """Residuals of a state at F (nq, d, 2) with slacks g (nc,), and the step from there."""
 
     def __init__(self, program: Program, state: _State, F: Array, g: Array) -> None:
