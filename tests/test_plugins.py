@@ -1,15 +1,12 @@
 """Own laws, supports, loads and materials: the examples by the command line, against closed forms."""
 
 import json
-import os
-import signal
 import sys
 from collections.abc import Iterator, MutableMapping
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
-import distributed
 import numpy as np
 import pytest
 
@@ -21,10 +18,10 @@ from macro_fem.output import loads_in_words
 from macro_fem.output.plans import draw_sheet
 from macro_fem.size import find_size
 from macro_fem.trials import Sought
-from rve.common import Progress, heard_by, load_installed, load_plugin
+from rve.common import load_installed, load_plugin
 from rve.common.files import PLUGINS
 from rve.common.plugins import forget_plugins
-from tests.commands import run
+from tests.commands import cluster_that_loses_a_worker, run
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 SCENE = """
@@ -134,17 +131,8 @@ def test_a_search_on_a_cluster_that_loses_a_worker_is_that_of_this_machine(folde
     load_plugin(EXAMPLES / "own_law.py")
     law = homogenize.load_law(folder / "law.json")
     sought, ends = Sought(macro_fem.load_scene(folder / "hung.toml"), law, "pitch", 2.0), (100.0, 300.0)
-    lost: list[int] = []
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
-
-        def listen(work: Progress) -> None:
-            if not lost and " left; " in work.work:
-                lost.append(cluster.workers[0].pid)
-                os.kill(lost[0], signal.SIGKILL)
-
-        with heard_by(listen):
-            there = find_size(sought, ends, cluster=cluster.scheduler_address)
-    assert lost
+    with cluster_that_loses_a_worker(" left; ") as address:
+        there = find_size(sought, ends, cluster=address)
     assert there == find_size(sought, ends)
 
 

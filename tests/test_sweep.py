@@ -24,6 +24,7 @@ from rve.cli import main as rve
 from rve.cli import table_items
 from rve.common import Progress, heard_by
 from rve.common.commands.sweeps import Ended, SweepItem, _begin_worker, run_item, sweep
+from tests.commands import cluster_that_loses_a_worker
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -255,20 +256,9 @@ def test_an_idle_worker_that_is_stopped_says_nothing(capfd):
 
 @pytest.mark.slow
 def test_a_cluster_that_loses_a_worker_half_way_gives_the_same_tables(tmp_path, single):
-    import distributed
-
     items = table_items(tmp_path, {"r1": "5", "r2": "0.5,1,0.6,0.7,0.8,0.9"}, ["4-in-1"], "y", GRID)
-    killed = []
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
-
-        def listen(work):
-            if not killed and "1 of 6" in work.work:
-                killed.append(cluster.workers[1].pid)
-                os.kill(killed[0], signal.SIGKILL)
-
-        with heard_by(listen):
-            ended = sweep(items, tmp_path, cluster=cluster.scheduler_address)
-    assert killed
+    with cluster_that_loses_a_worker("1 of 6") as address:
+        ended = sweep(items, tmp_path, cluster=address)
     assert [how.code for how in ended] == [0] * len(items)
     for name, content in single.items():
         assert (tmp_path / name).read_bytes() == content

@@ -21,7 +21,8 @@ COUNTED = 10.0
 
 @dataclass(frozen=True)
 class PathOptions:
-    """When to stop. `gap` is relative to the energy scale, total load times size, and holds for unbalanced forces too.
+    """When to stop. `gap` is relative to the energy scale, total load times size, and holds for unbalanced forces too;
+    of rings that flow to what supports draw them to, and of their limit to it, where that is more.
 
     `violation` (relative to h + tr S/2) is what the last step may leave of the law. `cones` are half-spaces to begin
     with instead of the law's own few; of a step of motion also their multipliers `lam` (nc,) in N/mm and the `pushes`
