@@ -136,6 +136,7 @@ def test_a_search_on_a_cluster_that_loses_a_worker_is_that_of_this_machine(folde
     assert there == find_size(sought, ends)
 
 
+@pytest.mark.slow
 def test_where_an_own_law_leaves_the_strength_open_every_verdict_says_so(folder: Path) -> None:
     """A law without rings has none to make a table of."""
     hooks = SCENE.replace('kind = "rope"\nsag = 40.0\n', 'kind = "hooks"\npitch = 100.0\ncapacity = 20.0\n')
@@ -178,6 +179,7 @@ def test_an_own_load_is_integrated_and_scaled(folder: Path) -> None:
     assert f"dirt {hung:.4g} N" in texts
 
 
+@pytest.mark.slow
 def test_a_number_in_a_table_of_a_plugin_is_sized() -> None:
     """Of a curtain without weight the factor is inverse to the only load, but for the stretch of elastic rings."""
     data: dict[str, Any] = {"curtain": {"width": 60.0, "height": 40.0}, "mesh": {"cells": 2}}

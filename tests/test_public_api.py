@@ -37,6 +37,7 @@ def answer(table):
     return macro_fem.solve(scene, homogenize.fit(table).law)
 
 
+@pytest.mark.slow
 def test_the_table_is_that_of_the_command_line(table, tmp_path):
     frame = table.to_pandas()
     table.save(tmp_path / "table.csv")
@@ -150,6 +151,7 @@ def nouns(table, answer, tmp_path_factory):
     return records_in([of_rings, laws, scenes, drawn, ways, answers])
 
 
+@pytest.mark.slow
 def test_every_public_record_is_copied_pickled_and_replaced_as_it_is(nouns):
     """Equal to the record where records of its kind are equal by their fields, and to be used as it is."""
     by_kind = {type(noun): noun for noun in nouns}

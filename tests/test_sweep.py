@@ -57,6 +57,7 @@ def single(tmp_path_factory):
     return tables
 
 
+@pytest.mark.slow
 def test_a_sweep_writes_what_single_commands_do_and_names_what_failed(tmp_path, single):
     found = run(rve, "sweep", "--out", tmp_path, "--r1", "5", "--r2", "0.5,1,3", *GRID)
     assert found.exit_code == 1
@@ -163,6 +164,7 @@ def test_every_scene_with_every_law_is_a_design_in_one_table(tmp_path, two_laws)
     assert now == {name: (out / name / "summary.json").stat().st_mtime_ns for name in names[:2]}
 
 
+@pytest.mark.slow
 def test_a_listener_hears_how_many_are_done_and_what_the_rest_takes(tmp_path):
     """As measured in this run: what was finished before counts for nothing in the pace."""
     items, told = table_items(tmp_path, {"r1": "5", "r2": "0.5,1,0.6"}, ["4-in-1"], "y", GRID), list[Progress]()
@@ -179,6 +181,7 @@ def test_a_listener_hears_how_many_are_done_and_what_the_rest_takes(tmp_path):
     assert str(told[1]).startswith("sweep, 2 of 3 done; ")
 
 
+@pytest.mark.slow
 def test_a_sweep_takes_several_laws(tmp_path, two_laws):
     (tmp_path / "low.toml").write_text(SCENE.format(height=50.0))
     laws = [word for law in two_laws for word in ("--law", law)]

@@ -148,6 +148,7 @@ def test_the_last_line_of_a_piped_command_says_what_to_do_next(command, there):
     assert "._rings" not in words
 
 
+@pytest.mark.slow
 def test_a_search_tells_a_pipe_value_factor_and_how_much_is_left(there, monkeypatch):
     monkeypatch.setattr(GROUPS["macro_fem"].commands["size"], "period_s", 0.0)  # else every 10 s
     words = "macro_fem", "size", *COMMANDS["macro_fem size"]
@@ -158,6 +159,7 @@ def test_a_search_tells_a_pipe_value_factor_and_how_much_is_left(there, monkeypa
     assert run(*words, "--quiet").stderr == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["rve table", "homogenize support", "macro_fem run"])
 def test_quiet_commands_print_only_what_they_are_asked_for(command, there):
     package, name = command.split()

@@ -49,6 +49,7 @@ def test_413_rings_let_go_at_a_corner_pass_the_steps_whose_contacts_split_and_me
     assert np.ptp([sum(vars(one.account).values()) - 2.0 * one.account.work for one in run.frames]) < 1e-8
 
 
+@pytest.mark.slow
 def test_random_starts_are_admissible_and_differ():
     rings = ring_scene(SHEETS[0].scene(1, 4))
     woven = {(int(a), int(b)) for a, b in rings.mesh.linked}

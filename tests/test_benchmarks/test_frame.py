@@ -39,6 +39,7 @@ def test_what_is_not_of_todays_numerics_is_stale_and_made_anew(tmp_path, monkeyp
     assert command.stale() == []
 
 
+@pytest.mark.slow
 def test_the_time_of_many_tables_is_start_and_rounds_times_the_time_of_one(monkeypatch):
     monkeypatch.setattr(scaling, "_swept", lambda count, way: 3.0 + 2.0 * -(-count // (2 if way else 1)))
     rows = scaling.side_by_side()

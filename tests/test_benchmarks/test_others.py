@@ -46,6 +46,7 @@ def test_what_the_page_calls_inside_is_inside_and_what_is_outside_stands_first()
     assert all(row["where"] and row["not known; scatter"] for row in rows_below("source"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", others.QUICK, ids=lambda make: make.__name__)
 def test_quick_numbers_are_those_of_the_page(make):
     told = {(row["number"], row["of"]): row for row in rows_below("number")}
@@ -57,6 +58,7 @@ def test_quick_numbers_are_those_of_the_page(make):
         assert span(text["range of ours"]) == pytest.approx(span(row["range of ours"]), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_numbers_of_theory_are_its_closed_forms():
     found = {(row["number"], row["of"]): row["ours"] for make in (others.rings, others.hanging_chain) for row in make()}
     assert found["opening, P R3/EI", "thin ring"] == pytest.approx(np.pi / 4.0 - 2.0 / np.pi, rel=1e-5)

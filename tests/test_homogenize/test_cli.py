@@ -44,6 +44,7 @@ def test_fit_writes_a_law_and_prints_its_error(tmp_path):
     assert len(record["provenance"]["table"]["sha256"]) == 64
 
 
+@pytest.mark.slow
 def test_support_of_strings_and_a_law_that_keeps_those_of_its_rows(tmp_path):
     told = json.loads(run("support", DEFAULT_LAW, "--S", "0,0,2", "--strings").output)
     pitch = np.pi * 5.0 - 2.0 * (np.pi - 1.0) * 0.5  # of a ring along the grain

@@ -54,6 +54,7 @@ def test_it_is_convex_monotone_and_tensile():
     assert eigenvalues(one.S)[0].min() > -1e-12 * np.abs(one.S).max()
 
 
+@pytest.mark.slow
 def test_rows_are_met_along_their_loads_where_one_compliance_is_far_off():
     known = LAW.strength.stretched
     for size in (0.1, 1.0, 3.0):

@@ -49,6 +49,7 @@ def carried(P, S, kappa):
     return -clarabel.DefaultSolver(empty, -P.ravel(), rows, b.ravel(), cones, settings).solve().obj_val
 
 
+@pytest.mark.slow
 def test_no_row_bears_more_than_its_own_collapse_load(law, surface):
     rows, g = law.strength.S[::31], law.strength.collapse[::31]
     at = law.vertices[((rows * WEIGHT) @ law.vertices.T).argmax(axis=1)]
@@ -96,6 +97,7 @@ def test_work_of_plastic_strains_is_the_support_function_of_the_safe_set(surface
     assert ((inside * WEIGHT) @ E.T <= work * (1.0 + 1e-9) + 1e-12).all()
 
 
+@pytest.mark.slow
 def test_strips_and_rows_are_safe_whatever_the_star(law):
     rng = np.random.default_rng(1)
     for _ in range(3):

@@ -59,6 +59,7 @@ def test_plain_rows_give_the_law_of_our_table(
         assert law.cell is None
 
 
+@pytest.mark.slow
 def test_arrays_to_a_curtain_that_is_ours(frame: pd.DataFrame, ours: homogenize.Law, tmp_path: Path) -> None:
     """With the areal mass that the law of our rings knows; and what only rings tell is refused in a sentence."""
     assert ours.cell is not None

@@ -21,6 +21,7 @@ def fitted():
     return fit_table(TABLE)
 
 
+@pytest.mark.slow
 def test_a_law_keeps_its_report_and_rows_through_its_file(fitted, tmp_path):
     law, path = fitted.law, tmp_path / "law.json"
     law.save(path)

@@ -82,6 +82,7 @@ def known_answers(truth, S):
     return alpha, np.degrees(np.arctan2(np.maximum(sizes[:, 0], 0.0), sizes[:, 1])), E
 
 
+@pytest.mark.slow
 def test_bounds_hold_the_exact_strain_and_close_with_the_rows(ellipsoid):
     S = random_loads(20, 3)
     S = S[np.hypot(S[:, 0] - S[:, 2], 2.0 * S[:, 1]) < 0.97]

@@ -49,6 +49,7 @@ def test_linear_stress_makes_hanging_strips_exact(ring_like, scene_tables, hang,
     assert -1e-9 * scale < bounds.gap < 5e-4 * scale
 
 
+@pytest.mark.slow
 def test_corner_supports_and_point_loads_are_bounded_too(ring_like, scene_tables):
     load = {"point": {"at": [50.0, 0.0], "force": [0.02, -0.02]}}
     fine_tables = scene_tables(mesh={"cells": 16}, support={"kind": "corners"}, load=load)
@@ -102,6 +103,7 @@ def test_the_hybrid_gradient_is_exact_for_affine_fields_and_dual_to_equilibrium(
     assert np.abs(force[2 * mesh.mesh.boundary_facets()]).max() > 1.0
 
 
+@pytest.mark.slow
 def test_refinement_follows_the_error(ring_like, scene_tables):
     scene = read_scene(scene_tables(mesh={"cells": 4}, support={"kind": "corners"}, solver={"adapt": 2}))
     answer = solve_membrane(scene, ring_like)

@@ -35,6 +35,7 @@ def mean_height_bounds(solution, bounds):
 MOVES = [pytest.param(move, marks=pytest.mark.slow) for move in ([0.0, 100.0, 60.0], [0.0, 60.0, 50.0])]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("move", [[0.0, 90.0, 60.0], *MOVES])
 def test_bounds_contain_the_hammock_and_close(ring_like, scene_tables, move):
     exact = min(100.0, move[1]) + catenary_mean(100.0, move[2], 100.0 - move[1])

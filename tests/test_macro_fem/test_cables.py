@@ -76,6 +76,7 @@ def test_sides_slide_on_sloping_cables(ring_like, scene_tables):
     assert solution.x[top.nodes] == pytest.approx(top.positions, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_plane_scene_slides_on_a_sloping_line(ring_like, scene_tables):
     """A line in the plane keeps the scene in the plane: the turned weight pulls along the turned normal."""
     works = []

@@ -168,6 +168,7 @@ def plane(tmp_path_factory):
     return list(outcomes(covering(PLANE), PLANE, tmp_path_factory.mktemp("plane")).values())
 
 
+@pytest.mark.slow
 def test_rigid_triangles_in_the_plane(tmp_path):
     rows = [row for row in covering(PLANE) if (row["element"], row["solver"]) == ("P1", "rigid")]
     found = Counter(outcomes(rows, PLANE, tmp_path).values())

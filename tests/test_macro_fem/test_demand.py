@@ -72,6 +72,7 @@ def test_the_distance_of_two_potentials_is_within_the_part_of_the_law():
     assert part < 5.0 * (inner.primal - outer.primal)
 
 
+@pytest.mark.slow
 def test_more_rows_narrow_the_interval_from_both_sides():
     scene = square(cells=4)
     mesh = build_mesh(scene, KNOWN.law.cell)
@@ -122,6 +123,7 @@ def test_rows_are_added_where_the_curtain_needs_them(tables):
     assert last.law_part_N_mm < 3.0 * whole.turns[-1].law_part_N_mm  # of 181 rows
 
 
+@pytest.mark.slow
 def test_nothing_is_asked_where_the_law_is_exact(tables):
     """Hung along y every load is a pull along y, which is a row."""
     scene = square("top", cells=3, curtain={"width": 100.0, "height": 100.0, "weave_angle": "y"})
@@ -204,6 +206,7 @@ def test_limits_are_named(tables):
         solve_on_demand(steps, OnDemand(Cell(), 1e-3, cache=tables))
 
 
+@pytest.mark.slow
 def test_supports_that_no_state_reaches_are_refused_after_the_rings_were_asked_more_widely(tables):
     far = square(
         {"kind": "edge", "edge": "top", "gather": 1.9}, curtain={"width": 100.0, "height": 100.0, "weave_angle": "x"}
@@ -330,8 +333,9 @@ SCENES = {
 }
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(k, marks=pytest.mark.release if i % 2 else pytest.mark.slow) for i, k in enumerate(SCENES)]
+)
 def test_the_interval_of_real_rings_holds_the_answer_of_the_finest_law_and_mesh(name, tables):
     scene = SCENES[name]
     found = solve_on_demand(scene, OnDemand(Cell(), 0.03, cache=tables))

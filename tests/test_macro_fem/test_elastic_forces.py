@@ -91,6 +91,7 @@ def test_rings_without_stiffness_say_that_forces_are_one_choice():
     assert ("one choice of many" in note) == (found.summary["forces_by"] == "rigid")
 
 
+@pytest.mark.slow
 def test_bounds_keep_their_shape_and_have_elastic_forces():
     bounded = solve(scene(HOOKS, solver={"bounds": True}))
     low, high = bounded.summary["mean_height_interval_mm"]

@@ -56,6 +56,7 @@ def is_admissible(found, cell):
     np.testing.assert_allclose(contacts.min_gap * cell.r1, found.gap_mm, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_locked_strain_gives_back_the_locked_rings(states, table):
     pose, E, _, _ = table
     found = nearest_poses(E, CELL, states)
@@ -483,6 +484,7 @@ def test_the_largest_force_is_that_of_the_cell(alpha, beta):
     assert largest_forces(s, CELL).max() == pytest.approx(cell_forces(s[0], CELL).force.max(), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_what_is_slack_beside_a_load_changes_no_force(table):
     """Rings bear S where it locks them, also in cells that are drawn together beside it."""
     _, E, S, s = table

@@ -190,6 +190,7 @@ def test_a_wall_that_sets_off_at_once_takes_the_sheet_along(step):
     assert found.frames[-1].moment.v[:, 2] == pytest.approx(420.0, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_falling_sheet_comes_to_rest_on_the_floor():
     floor = {"obstacle": {"kind": "floor", "height": -20.0}}
     _, told = moved(FREE | floor | {"motion": {"duration": 0.45, "step": 0.015, "scheme": "euler"}})
@@ -198,7 +199,9 @@ def test_a_falling_sheet_comes_to_rest_on_the_floor():
     assert told["mean_y_mm"][-1] == pytest.approx(-20.0, abs=1.0)
 
 
-@pytest.mark.parametrize("step", [{"step": 0.03}, pytest.param({}, marks=pytest.mark.release)])
+@pytest.mark.parametrize(
+    "step", [pytest.param({"step": 0.03}, marks=pytest.mark.slow), pytest.param({}, marks=pytest.mark.release)]
+)
 def test_a_fast_ball_is_not_passed_by(step):
     sheet = {"curtain": {"width": 300.0, "height": 300.0}, "mesh": {"cells": 6}, "support": TOP | {"gather": 0.9}}
     ball = {"kind": "sphere", "radius": 40.0, "mass": 0.1, "at": [150.0, 100.0, 300.0], "velocity": [0.0, 0.0, -4e3]}
@@ -217,6 +220,7 @@ def test_an_obstacle_moved_far_in_one_step_takes_the_sheet_along(kind):
     assert told["mean_z_mm"][-1] == pytest.approx(85.94, rel=0.02)  # steps of 0.002 s
 
 
+@pytest.mark.slow
 def test_balls_fall_on_a_floor_and_strike_each_other():
     ball = {"kind": "sphere", "radius": 50.0, "mass": 1.0, "at": [0.0, 0.0, 300.0], "velocity": [1000.0, 0.0, 0.0]}
     other = ball | {"mass": 0.5, "at": [195.0, 0.0, 300.0], "velocity": [0.0, 0.0, 0.0]}
@@ -314,7 +318,9 @@ class Killed(BaseException):
     """Ends a run where it is, as a signal that cannot be caught does."""
 
 
-@pytest.mark.parametrize("command", ["run", pytest.param("rings", marks=pytest.mark.release)])
+@pytest.mark.parametrize(
+    "command", [pytest.param("run", marks=pytest.mark.slow), pytest.param("rings", marks=pytest.mark.release)]
+)
 def test_a_run_that_is_killed_loses_no_step_and_goes_on_to_the_same_end(command, tmp_path, monkeypatch):
     """Steps of their own length, released, blown at and damped; killed before the 5th file it writes, the 10th, ..."""
     scene, count = tmp_path / "scene.toml", itertools.count(1)
@@ -361,6 +367,7 @@ def test_a_run_that_is_killed_loses_no_step_and_goes_on_to_the_same_end(command,
         assert factor == pytest.approx(whole_factor, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_another_scene_does_not_go_on(tmp_path):
     scene = tmp_path / "scene.toml"
     plane = LET_GO.replace("space = true", "space = false").replace("[0.0, 400.0]", "[0.0, 400.0], release = 0.01")
@@ -380,6 +387,7 @@ def test_a_straight_bar_turns_with_the_inertia_of_a_rod():
     assert [of_bar.sum(), of_bar @ s, of_bar @ s**2] == pytest.approx([3.0, 0.0, 0.25], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_modes_prints_one_object_with_ascending_frequencies(tmp_path):
     scene = tmp_path / "scene.toml"
     text = "[curtain]\nwidth = 60.0\nheight = 1000.0\n[mesh]\ncells = 2\n[support]\nkind = 'top'\n"
@@ -405,8 +413,9 @@ def thrown(tables, velocity, duration, step):
     return found
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("speed", [0.0, 60.0])
+@pytest.mark.parametrize(
+    "speed", [pytest.param(0.0, marks=pytest.mark.release), pytest.param(60.0, marks=pytest.mark.slow)]
+)
 def test_a_bar_dropped_into_an_elastic_strip_swings_as_one_mass(speed):
     """T = 2 pi sqrt(m/k), peak m g + sqrt((m g)^2 + k m v^2) with v where the strip is not yet stretched.
 

@@ -67,6 +67,7 @@ def test_a_strip_dropped_into_its_edge_has_a_larger_peak_the_farther_it_falls():
     assert factor[0] > 1.9 * factor[1] > 2.5 * factor[2]
 
 
+@pytest.mark.slow
 def test_what_rigid_rings_do_not_tell_of_a_blow_is_said(struck):
     answer, _ = struck
     told = answer.summary
@@ -96,6 +97,7 @@ def test_a_load_that_no_ring_bears_does_not_hold_and_a_law_without_rings_does_no
     assert any("strength of the rings not known" in line for line in motion_lines(told, "out"))
 
 
+@pytest.mark.slow
 def test_a_ball_is_pushed_as_it_pushes_and_is_named_where_it_is():
     found = MovingCurtain(read_scene(STRUCK), default_law()).solve()
     pushed = 0.0

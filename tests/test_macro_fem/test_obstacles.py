@@ -271,6 +271,7 @@ def test_points_between_nodes_are_where_the_element_puts_them(scene_tables, fitt
     assert to_node.max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_body_that_has_passed_between_nodes_on_the_way_is_told():
     """Rows of nodes 38 mm apart let a bar of 30 mm through, and the strip ends below it without touching it."""
     strip = {

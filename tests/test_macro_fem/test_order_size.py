@@ -99,6 +99,7 @@ def test_tables_of_results_hold_what_governs_and_not_the_loads_as_they_are(tmp_p
     assert rows["holds"].to_dict() == {"both": under["b"] >= 1.0, "plain": plain["weakest_factor"] >= 1.0}
 
 
+@pytest.mark.slow
 def test_forces_of_single_hooks_that_change_with_the_mesh_are_told_with_both():
     """The hook whose force changes most, of those that bear, between this mesh and cells twice as large."""
     sheet = Rectangle(60.0, 60.0, weave_angle=45.0)
@@ -115,6 +116,7 @@ def test_forces_of_single_hooks_that_change_with_the_mesh_are_told_with_both():
     assert f"the largest force is {most[0]:.3g} N, there {most[1]:.3g} N" in told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [30.0, -30.0])
 def test_a_curtain_that_leans_says_how_far_and_to_which_side(angle):
     """The mean place of its lower end, beside that of its upper one."""

@@ -97,6 +97,7 @@ def three_strips(folder, force, slack=20.0):
     return read_scene(tables, folder / "scene.toml")
 
 
+@pytest.mark.slow
 def test_the_short_strip_flows_until_the_others_share_its_load(tmp_path):
     one = 60.0 * capacity()
     answer = solve(three_strips(tmp_path, 1.8 * one))
@@ -162,6 +163,7 @@ def roots(S):
     return (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ vectors.swapaxes(1, 2)
 
 
+@pytest.mark.slow
 def test_a_strip_with_a_hole_has_the_limit_of_an_independent_cone_program():
     problem = posed(pulled([0.3, -1.0], cells=6, holes=[HOLE]))
     low, high = by_clarabel(problem)
@@ -330,6 +332,7 @@ def test_butted_rings_flow_at_their_smaller_load():
     assert plastic_law(weak).difference == pytest.approx(plastic_law(default_law()).difference)
 
 
+@pytest.mark.slow
 def test_run_judges_by_the_limit(tmp_path):
     scene = tmp_path / "scene.toml"
     scene.write_text(

@@ -187,6 +187,7 @@ UNSOLVED = 0.05
 """Part of the scenes in which a solver may find no answer, as long as it says so."""
 
 
+@pytest.mark.slow
 def test_a_few_random_scenes():
     outcomes = [check(seed, default_law()) for seed in QUICK]
     assert {"converged", "taut", "infeasible"} <= set(outcomes)
@@ -194,10 +195,10 @@ def test_a_few_random_scenes():
 
 
 @pytest.mark.parametrize(
-    "first", [pytest.param(k, marks=pytest.mark.release if k else pytest.mark.slow) for k in range(0, len(ALL), 50)]
+    "first", [pytest.param(k, marks=pytest.mark.release if k else pytest.mark.slow) for k in range(0, len(ALL), 25)]
 )
 def test_300_random_scenes(first, fitted_law):
-    outcomes = [check(seed, fitted_law) for seed in ALL[first : first + 50]]
+    outcomes = [check(seed, fitted_law) for seed in ALL[first : first + 25]]
     assert sum(one.startswith("none") for one in outcomes) <= UNSOLVED * len(outcomes), outcomes
     assert {"converged", "taut", "infeasible", "refused"} <= {*outcomes, "taut"}
 
@@ -243,7 +244,9 @@ def solved_from_file(tables, p, t, path):
 
 
 @pytest.mark.parametrize("kind", ["mirrored", "renumbered", "rescaled"])
-@pytest.mark.parametrize("count", [6, pytest.param(170, marks=pytest.mark.release)])
+@pytest.mark.parametrize(
+    "count", [pytest.param(6, marks=pytest.mark.slow), pytest.param(170, marks=pytest.mark.release)]
+)
 def test_twins_of_a_scene_agree(kind, count, tmp_path):
     """Status, potential, mean height and forces of supports; elastic rings do not give alike at another size."""
     unsolved = 0
@@ -328,6 +331,7 @@ def check_outcomes(seeds):
     assert 0 < answers.count("converged") < len(outcomes)
 
 
+@pytest.mark.slow
 def test_what_slides_at_random_carries_nothing_along_its_way():
     check_outcomes(range(16))
 

@@ -17,6 +17,7 @@ def gathered_net_height(element, n):
     return stiff + (stiff - soft) / 9.0
 
 
+@pytest.mark.slow
 def test_the_gathered_net_is_that_of_another_author_and_comes_down_to_the_exact_height():
     """Their cone programs give the integral of the height over 1600 mm2, to its printed digit."""
     one, other, coarse, fine = (gathered_net_height(*mesh) for mesh in (("P1", 8), ("P1", 16), ("P2", 4), ("P2", 8)))

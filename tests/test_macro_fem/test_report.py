@@ -179,6 +179,7 @@ def test_the_command_writes_it_with_checksums(tmp_path):
     assert "2026-11-28" in text
 
 
+@pytest.mark.slow
 def test_a_project_heads_reports_and_changes_no_answer():
     scene = Scene(Rectangle(100.0, 80.0), [Hooks(count=3)], mesh=Mesh(cells=3))
     named = replace(scene, project=Project(title="T"))
@@ -190,6 +191,7 @@ def test_a_project_heads_reports_and_changes_no_answer():
         macro_fem.read_scene({"curtain": {"width": 1.0, "height": 1.0}, "project": {"title": 3}})
 
 
+@pytest.mark.slow
 def test_the_verdict_is_three_lines_that_say_what_the_summary_says():
     summary = solve(Scene(Rectangle(100.0, 80.0), [Hooks(count=3, capacity=1.0)], mesh=Mesh(cells=3))).summary
     first, second, third = verdict_lines(summary)
@@ -228,6 +230,7 @@ def panels(size, count):
     return plotter
 
 
+@pytest.mark.slow
 def test_a_picture_of_a_page_is_as_high_as_what_is_seen_on_it():
     """One panel and six in rows: nearly all of width and height is used; never more than a page."""
     for size, count in (((1.0, 1.3), 1), ((1.0, 1.5), 6)):

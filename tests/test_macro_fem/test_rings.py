@@ -93,6 +93,7 @@ def test_a_law_of_the_locked_reference_answers_to_rings_wind_and_every_ring():
     assert drop[0] == pytest.approx(drop[1], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_rings_writes_its_files_and_the_numbers_agree(tmp_path):
     path, out = toml(tmp_path / "scene.toml", 2, 1), tmp_path / "out"
     result = CliRunner().invoke(main, ["rings", str(path), "--out", str(out), "--plane", "--html"])
@@ -113,6 +114,7 @@ def test_rings_writes_its_files_and_the_numbers_agree(tmp_path):
     assert {file.name for file in out.iterdir()} == written
 
 
+@pytest.mark.slow
 def test_the_disk_guides_the_rings_to_an_equilibrium_of_the_same_scene(tmp_path):
     path = toml(tmp_path / "scene.toml", 3, 2)
     answers = {}
@@ -130,6 +132,7 @@ def test_the_disk_guides_the_rings_to_an_equilibrium_of_the_same_scene(tmp_path)
     assert disk["total_load_N"] == slack["total_load_N"]
 
 
+@pytest.mark.slow
 def test_supports_out_of_reach_are_said_to_be_so(tmp_path):
     path, out = tmp_path / "scene.toml", tmp_path / "out"
     size = f"[curtain]\nwidth = {B_X}\nheight = {B_Y}\n[mesh]\ncells = 8\n"

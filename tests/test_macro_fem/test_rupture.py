@@ -42,7 +42,12 @@ def net(force, cells=4, steps=1, radius=100.0, **solver):
 
 
 @pytest.mark.parametrize(
-    "times", [pytest.param(0.99, marks=pytest.mark.slow), 1.01, pytest.param(4.0, marks=pytest.mark.slow)]
+    "times",
+    [
+        pytest.param(0.99, marks=pytest.mark.release),
+        pytest.param(1.01, marks=pytest.mark.slow),
+        pytest.param(4.0, marks=pytest.mark.slow),
+    ],
 )
 def test_a_strip_flows_until_it_is_as_long_as_its_strings(times):
     """Held along y only, as strings that are pulled lie side by side. Its load does not grow while it flows."""
@@ -98,7 +103,9 @@ def test_the_limit_of_a_net_of_one_cell_that_is_pushed_across_is_found():
     assert 1.0 < limit.lower <= limit.factor <= limit.upper < 4.0
 
 
-@pytest.mark.parametrize("solver", [{}, pytest.param({"bounds": True}, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "solver", [pytest.param({}, marks=pytest.mark.slow), pytest.param({"bounds": True}, marks=pytest.mark.release)]
+)
 def test_factors_are_those_of_the_loads_alone_on_the_mesh_and_with_the_moves_of_the_answer(solver):
     """Of a net between two sides that are drawn apart, pushed across: strings in a plane share a load in other ways."""
 
@@ -115,6 +122,7 @@ def test_factors_are_those_of_the_loads_alone_on_the_mesh_and_with_the_moves_of_
     assert last == pytest.approx(1.0, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_supports_may_be_as_far_apart_as_strings_reach():
     longest = np.sqrt(1.0 + 2.0 * string_states(LAW.cell.cell(), np.eye(3)[:1], LAW.cell.sides_mm).h[0])
     tables = {
@@ -196,6 +204,7 @@ def test_the_smallest_loads_are_borne_without_work(force):
     assert found.plastic_work == 0.0
 
 
+@pytest.mark.slow
 def test_strings_that_are_none_are_refused_or_said():
     law = LAW
     butted = replace(law, strength=replace(law.strength, joint="butted"))
@@ -209,6 +218,7 @@ def test_strings_that_are_none_are_refused_or_said():
         solve(read_scene(net(1000.0, kind="rigid")), law)
 
 
+@pytest.mark.slow
 def test_the_command_says_where_strings_break(tmp_path):
     tables = net(3000.0, 2)
     scene = tmp_path / "net.toml"
@@ -236,7 +246,7 @@ def test_without_live_loads_nothing_breaks():
     assert "it takes live loads, and a [material] with ultimate" in found.summary.limit_note
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_strings_of_six_in_one_are_drawn_taut_without_a_detour():
     """Where half-spaces that looked idle were dropped while forces were far from balance, one of these took 400 steps
     without an end and one 165."""

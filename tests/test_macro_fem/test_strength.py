@@ -144,8 +144,13 @@ NOTCHED = {"shape": "outline", "outline": [[0, 0], [66, 0], [66, 22], [55, 28], 
 HOLED = {"width": 66.0, "height": 55.0, "holes": [[[22, 16], [40, 16], [40, 34], [22, 34]]]}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("curtain", "near"), [(NOTCHED, "edge "), (HOLED, "hole 1")])
+@pytest.mark.parametrize(
+    ("curtain", "near"),
+    [
+        pytest.param(NOTCHED, "edge ", marks=pytest.mark.slow),
+        pytest.param(HOLED, "hole 1", marks=pytest.mark.release),
+    ],
+)
 def test_a_mesh_too_coarse_at_a_notch_or_hole_says_which_one_tells_within_a_tenth(curtain, near):
     """The sentence names the place and `cells`; on those it is gone, and the utilisation is that of a mesh 1.4 times as
     fine; with half of them it stands, as on the coarse mesh, whose utilisation is too low."""
@@ -224,6 +229,7 @@ def square(scale=1.0, law=None, **curtain):
     return judge_strength(solve_scene(read_scene(tables), default_law() if law is None else law))
 
 
+@pytest.mark.slow
 def test_mirror_images_and_quarter_turns_bear_the_same():
     left, right = square(weave_angle=25.0), square(weave_angle=-25.0)
     for key in ("utilisation_max", "utilisation_pointwise_max", "utilisation_of_averages_max", "collapse_factor"):
@@ -341,6 +347,7 @@ def test_the_ring_at_a_hook_is_pulled_by_two_opposed_forces(joint, rings):
         assert f"the {told['weakest']} would yield first" in holds_line(told)
 
 
+@pytest.mark.slow
 def test_rings_at_corners_points_runners_and_loaded_points():
     """Wherever a force acts at a point it goes through rings; an edge that is held as a whole has none of them."""
     ring = pulled_ring(5.0, 0.5, default_law().strength.material)
@@ -363,6 +370,7 @@ def test_rings_at_corners_points_runners_and_loaded_points():
         assert told.utilisation_of_hook_rings_max == pytest.approx(2.0 / ring.first_yield_N, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_scene_may_say_what_the_rings_are_made_of():
     """Half the density halves the weight, twice the yield stress the utilisation; everything is in the summary."""
     tables = sheet(40.0, 40.0, 4, {"kind": "top", "gather": 0.9}, solver={"bounds": True})

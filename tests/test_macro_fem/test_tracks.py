@@ -123,6 +123,7 @@ def test_runners_hold_what_their_pitch_says_at_even_places(ring_like, scene_tabl
     assert solution.x[held.nodes] == pytest.approx(held.positions, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_bounds_of_a_curtain_on_an_arc_close(ring_like, scene_tables):
     gaps = []
     for cells in (4, 8):

@@ -274,6 +274,7 @@ def test_a_law_without_rings_tells_no_drag(scene_tables):
         posed(scene, law)
 
 
+@pytest.mark.slow
 def test_the_summary_tells_drag_and_pressure(scene_tables):
     scene = with_wind(scene_tables, speed=10.0)
     (told,) = macro_fem.solve(scene).summary["wind"]

@@ -35,6 +35,7 @@ def test_table_and_loads(tmp_path):
     assert {"r1_mm", "r2_mm", "method", "options", "versions", "wall_s"} <= provenance.keys()
 
 
+@pytest.mark.slow
 def test_a_chiral_weave_is_loaded_to_both_sides_and_its_rows_have_no_images(tmp_path):
     """The default grid covers all loads: (alpha, beta) is (alpha + 90, 90 - beta), so alpha runs from -40 to 45."""
     out = tmp_path / "six.csv"

@@ -176,6 +176,7 @@ def gauss_linking(d, n_a, n_b, count=400):
     return (triple / np.linalg.norm(x, axis=2) ** 3).sum() * (t[1]) ** 2 / (4 * np.pi)
 
 
+@pytest.mark.slow
 def test_linking_agrees_with_the_gauss_integral():
     rng = np.random.default_rng(3)
     d, n_a, n_b = random_pairs(rng, 300)

@@ -33,6 +33,7 @@ def solve(alpha, beta, ratio=10.0, options=OPTIONS):
     return locked_block(np.atleast_1d(float(alpha)), np.atleast_1d(float(beta)), Cell(5.0, 5.0 / ratio), options).found
 
 
+@pytest.mark.slow
 def test_all_190_cases_converge(paper_table):
     assert len(paper_table) == 190
     assert (paper_table.status == "converged").all()

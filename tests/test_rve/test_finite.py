@@ -305,6 +305,7 @@ def crossing_pairs(seed, size):
         yield before, np.column_stack([q[:, :3], (omega * f1).sum(axis=1), (omega * f2).sum(axis=1)])
 
 
+@pytest.mark.slow
 def test_circles_that_cross_on_the_way_have_ways_as_long_as_their_distances():
     pair = np.array([[0, 1]])
     ratio = []
@@ -461,6 +462,7 @@ def test_a_generic_solver_finds_the_same_potential():
     assert abs(solution.potential - slsqp(mesh, force, held, at)) < 1e-5 * np.abs(force).sum() * 5.0
 
 
+@pytest.mark.slow
 def test_supports_out_of_reach_have_no_forces_and_say_how_far_they_are():
     mesh = FiniteMesh.rectangle(Cell(), 1, 1)
     force, held, at = hung(mesh, top_of(mesh))
@@ -512,6 +514,7 @@ def test_the_residual_of_an_answer_counts_overlaps_and_no_open_gap():
         assert found.kkt_residual == pytest.approx(1e-9 if is_open else -con.deepest.min(), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_without_convergence_the_answer_is_the_best_iterate_and_its_residual_the_share_of_the_load():
     """At the end of its path the solver lifts mu of rings that stall, which takes them far from balance."""
     _, scaled, start = small_problem()
@@ -595,6 +598,7 @@ def over(solution, wall):
     return solution.centre @ m - cell.r1 * np.sqrt(1.0 - (solution.normal @ m) ** 2) - cell.r2 - wall.offset
 
 
+@pytest.mark.slow
 def test_a_floor_carries_what_rests_on_it_and_a_far_one_nothing():
     mesh = FiniteMesh.rectangle(Cell(), 2, 2)
     problem = hung(mesh, top_of(mesh))

@@ -58,6 +58,7 @@ def test_gaps_and_residuals_in_space_have_exact_derivatives(name):
     np.testing.assert_allclose(system.J[0], system.J[0].T, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_planar_states_are_states_of_the_larger_cell_balanced_in_space(planar):
     mesh = SPACE.stages[-1]
     sides = weave_sides(mesh, reference_sides(THIN, DirectOptions()))
@@ -121,6 +122,7 @@ def test_a_table_of_a_larger_cell_is_normal_and_does_no_less_work():
     assert not table.origin.notes["bound_note"]
 
 
+@pytest.mark.slow
 def test_options_of_larger_cells(tmp_path):
     out = tmp_path / "table.csv"
     asked = ["table", "--out", str(out), "--weave", "6-in-1", "--r2", "0.25", "--alpha", "0", "--beta", "45"]

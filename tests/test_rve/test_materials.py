@@ -74,6 +74,7 @@ def test_a_cell_takes_its_weave_by_name():
         Cell(r1=Material())
 
 
+@pytest.mark.slow
 def test_columns_and_material_from_the_command_line_to_the_file(tmp_path):
     words = ["table", "--out", str(tmp_path / "t.csv"), "--alpha", "0", "--beta", "45,90", "--rings"]
     result = CliRunner().invoke(main, [*words, "--material", "steel 1.4404", "--yield", "420"])

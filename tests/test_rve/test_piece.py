@@ -129,6 +129,7 @@ def test_two_sizes_of_rings_are_two_solids(tmp_path):
         assert outer == pytest.approx([11.0, 6.8, 11.0], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_locked_piece_touches_and_thinner_wire_parts_it(tmp_path):
     words = ("export", "--inner", 8, "--wire", 1.2, "--size", "40x60", "--load", "0,90", "--json")
     locked = json.loads(run("rve", *words, "--out", tmp_path / "a.stl").output)

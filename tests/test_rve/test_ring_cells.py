@@ -47,6 +47,7 @@ def strain_energy(found, lam):
     return np.einsum("nc,ncd,nd->n", forces, C, forces)
 
 
+@pytest.mark.slow
 def test_work_along_the_load_is_the_strain_energy_of_the_rings(paper):
     found, s, unique, states = paper
     S = second_pk(deformation(found.pose, SIDES), s)
@@ -194,6 +195,7 @@ def test_rows_without_a_locked_state_have_no_strength():
     assert np.isnan(table.compliance[1:]).all()
 
 
+@pytest.mark.slow
 def test_table_columns_follow_material_size_and_grain():
     loads = ([10.0, 80.0, 0.0, 15.0], [40.0, 50.0, 90.0, 0.0])
     steel, titanium = Material(), named_material("titanium grade 2")
@@ -219,6 +221,7 @@ def jointed(name, loads=((0.0, 20.0, 20.0), (90.0, 30.0, 60.0))):
     return with_rings(solve_table(Cell(), loads), Cell(), name)
 
 
+@pytest.mark.slow
 def test_butted_rings_are_weaker_softer_and_worst_at_the_worst_angle():
     welded, worst = jointed("welded"), jointed("butted")
     assert (worst.origin.joint, welded.origin.joint) == ("butted:worst", "welded")
@@ -235,6 +238,7 @@ def test_butted_rings_are_weaker_softer_and_worst_at_the_worst_angle():
         assert (along(stated) <= along(worst) * 1.01).all()
 
 
+@pytest.mark.slow
 def test_a_stated_angle_stands_for_its_mirror_image():
     """The mirror image of a load on the mirrored mesh; rings are symmetric under inversion, so 200 is 20 degrees."""
     one, other = jointed("butted:20"), jointed("butted:200", ((0.0, -20.0, -20.0), (90.0, 30.0, 60.0)))

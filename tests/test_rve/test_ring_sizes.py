@@ -71,6 +71,7 @@ def test_a_command_takes_both_spellings_and_answers_in_both():
     assert one["h"] != json.loads(run("rve", *load).output)["h"]
 
 
+@pytest.mark.slow
 def test_a_sweep_takes_lists_in_makers_spelling(tmp_path):
     words = ("--inner", "8", "--gauge", "16 awg,18 awg", "--alpha", 0, "--beta", "45")
     run("rve", "sweep", "--out", tmp_path, *words, "--quiet")

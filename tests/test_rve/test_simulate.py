@@ -53,6 +53,7 @@ def test_a_larger_cell_rests_like_the_primitive_one(centres):
     assert pytest.approx(one.E, abs=5e-6) == two.E
 
 
+@pytest.mark.slow
 def test_loads_that_follow_each_other_rest_where_each_does_alone():
     stages = np.array([[60.0, 30.0, 60.0]])
     found = simulate(Cell(grain="x"), (10.0 + 0.0 * stages, stages), FAST)
@@ -129,6 +130,7 @@ def test_histories_that_make_no_sense_are_refused_by_their_file(rows, words, tmp
     assert "history.csv" in str(refused.value)
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_path_and_the_end_beside_the_direct_solver(tmp_path):
     out = tmp_path / "run.csv"
     words = ("--alpha", "20", "--beta", "45,60", "--set", "h_max=10", "--r1", "6", "--r2", "0.7")
@@ -158,6 +160,7 @@ def test_the_command_takes_a_history_and_says_what_does_not_rest(tmp_path):
     assert len(pd.read_csv(tmp_path / "run.csv")) == 9
 
 
+@pytest.mark.slow
 def test_the_command_prints_the_loop(tmp_path):
     words = ("--alpha", "0", "--beta", "45", "--to", "0,60", "--friction", "0.05", "--set", "tolerance=1e-4")
     done = run("rve", "simulate", *words, "--out", tmp_path / "run.csv", "--plot", tmp_path / "loop.png", "--json")

@@ -43,6 +43,7 @@ def test_states_are_those_of_the_rows(table):
     assert part.lam[~part.contacts.present].max() == 0.0
 
 
+@pytest.mark.slow
 def test_rings_are_those_of_a_table_from_a_file(table, tmp_path):
     rings = with_rings(table, Cell())
     assert np.isfinite(rings.strength).all(axis=1).tolist() == [True, True, False, True]

@@ -145,6 +145,7 @@ def test_copies_of_a_link_among_the_ten_rings():
     assert count[0, 0, 2, 0] == 0
 
 
+@pytest.mark.slow
 def test_motion_without_inertia_comes_to_rest_at_the_same_place():
     """A millionth of the mass: damping alone determines where the rings come to rest."""
     steel = Cell().density

@@ -218,6 +218,7 @@ def test_wires_touch_between_the_places_of_both():
     assert gap == pytest.approx(0.5, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_commands_print_keep_and_draw_strings(tmp_path):
     picture, table = tmp_path / "strings.png", tmp_path / "table.csv"
     asked = ["support", "--S", "0,0,1", "--strings", "--plot", str(picture)]

@@ -63,6 +63,7 @@ def test_dead_and_cauchy_loads_lock_in_one_state_where_it_is_unique(ratio):
     np.testing.assert_array_equal(found.unique, table.unique)
 
 
+@pytest.mark.slow
 def test_size_unit_grain_and_mirror_change_nothing():
     S = np.array([[0.5, 0.2, 0.5], [1.0, 0.0, 0.0], [0.05, -0.1, 0.95]])
     plain = support(Cell(), S, FIRST)

@@ -48,6 +48,7 @@ def clearances(pose, weave, along=()):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WEAVES)
 def test_start_pose_has_the_largest_clearance_and_it_is_the_jamming_limit(name):
     """Multipliers of the least clearances balance: no small motion enlarges them all. Distances and derivatives are the
@@ -80,6 +81,7 @@ def mirrored(weave):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [6.5, 10.0])
 def test_six_in_one_locks_convexly_and_has_two_mirror_forms(ratio):
     alpha, beta = (x.ravel() for x in np.meshgrid([-45.0, 0.0, 20.0], [0.0, 30.0, 60.0, 90.0]))

@@ -275,8 +275,9 @@ def flawed(flaw, lattice, rings, rng):
     return {"empty": b"", "truncated": text[:cut], "bytes": text[:cut] + rng.bytes(9)}.get(flaw, text)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize(
+    "seed", [pytest.param(k, marks=pytest.mark.release if k % 2 else pytest.mark.slow) for k in range(30)]
+)
 def test_thirty_files_at_random_end_right_or_in_a_sentence(seed, tmp_path, monkeypatch):
     """Of each command: code 0, or one sentence with code 1 or 2 and nothing written. Each flaw occurs twice."""
     rng, name = np.random.default_rng(seed), ["4-in-1", "6-in-1", "8-in-1", "japanese-4-in-1"][seed % 4]
@@ -313,6 +314,7 @@ def test_thirty_files_at_random_end_right_or_in_a_sentence(seed, tmp_path, monke
         assert read_weave(path).jamming_ratio == pytest.approx(of.jamming_ratio, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_table_strength_and_stiffness_do_not_depend_on_which_ring_is_the_first():
     """Lengths are in the radius of the first ring, forces in that times the line load: numbers in mm and N agree."""
     lattice, rings = written(JAPANESE, disturb=0.0, size=1.0, turn=0.0)
