@@ -73,10 +73,10 @@ def plot_strains(law: MembraneLaw, table: StrainTable) -> Any:
     axes = new_figure(12.5, 4.2).subplots(1, 3)
     alphas = np.unique(table.alpha_deg[table.converged])
     beta = np.clip(45.0 - 45.0 * np.cos(np.linspace(0.0, np.pi, 121)), 0.01, 89.99)  # dense where strains turn
-    for number, alpha in enumerate(alphas):
+    found = locked_strain(law, np.repeat(alphas, len(beta)), np.tile(beta, len(alphas)))
+    drawn = np.where((found.status == "converged")[:, None], found.E, np.nan).reshape(len(alphas), len(beta), 3)
+    for number, (alpha, E) in enumerate(zip(alphas, drawn, strict=True)):
         colour = viridis()(number / max(len(alphas) - 1, 1))
-        found = locked_strain(law, np.full(len(beta), alpha), beta)
-        E = np.where((found.status == "converged")[:, None], found.E, np.nan)
         at = table.converged & (table.alpha_deg == alpha)
         for k, ax in enumerate(axes):
             ax.plot(beta, E[:, k], color=colour, lw=1.2, label=f"{alpha:g} deg" if k == 2 else None)
