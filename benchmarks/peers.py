@@ -57,9 +57,14 @@ PEERS = {
         "joints, motors, friction, other bodies, in real time",
         "true tori that do not overlap; energy that is accounted for",
     ),
+    "newton": (
+        "Newton",
+        "thousands of scenes at once on graphics cards, derivatives with respect to the scene",
+        "the same",
+    ),
 }
 """How the page calls the program of a package, what it does that ours does not, and ours that it does not."""
-LEFT_OUT = """Not run: Newton (its CPU path was not tried), Yade and Siconos (no wheels). Of a neo-Hookean sheet the
+LEFT_OUT = """Not run: Yade and Siconos (no wheels). Of a neo-Hookean sheet the
 tree has no assembly of its own beside which scikit-fem's could be put."""
 
 
@@ -70,10 +75,10 @@ class Timed(NamedTuple):
     seconds: float
 
 
-def in_turn(programs: dict[str, Callable[[], Any]]) -> dict[str, Timed]:
-    """Each program `TIMES` times, all in turn, by processor time; a `Fallen` of MuJoCo has its own."""
-    found: dict[str, Any] = {}
-    seconds: dict[str, list[float]] = {name: [] for name in programs}
+def in_turn(programs: dict[Any, Callable[[], Any]]) -> dict[Any, Timed]:
+    """Each program `TIMES` times, all in turn, by processor time; a `Fallen` of an engine has its own."""
+    found: dict[Any, Any] = {}
+    seconds: dict[Any, list[float]] = {name: [] for name in programs}
     for _ in range(TIMES):
         for name, program in programs.items():
             began = process_time()
@@ -153,16 +158,21 @@ def right(given: rve.Problem, answer: rve.Answer) -> tuple[np.ndarray, float]:
     return good, float(error[good].max())
 
 
-def rings_in_motion(k: int, steps: tuple[float, ...]) -> list[Row]:
-    """Every ring of a sheet of which a corner is let go."""
+def rings_in_motion(k: int, count: int) -> list[Row]:
+    """Every ring of a sheet of which a corner is let go, by each engine with `count` of its steps."""
     scene = let_go.motion_scene(let_go.SCENES[0], k)
     begun = MovingRings(replace(scene, motion=Motion(let_go.STEP, let_go.STEP))).solve()
-    programs: dict[str, Callable[[], Any]] = {"ours": MovingRings(scene).solve}
-    done = in_turn(programs | {f"{dt:g}": partial(engine.fall, begun, let_go.DURATION, dt) for dt in steps})
+    programs: dict[Any, Callable[[], Any]] = {
+        (name, dt): partial(engine.fall, begun, let_go.DURATION, name, dt)
+        for name, steps in engine.STEPS.items()
+        for dt in steps[:count]
+        if is_here(name)
+    }
+    done = in_turn({"ours": MovingRings(scene).solve} | programs)
     mine = np.array([frame.row for frame in done["ours"].found.frames])[:, let_go.MEAN]
     height, rows = SHEETS[0].sides(k)[1], []
-    for dt in steps:
-        fallen = done[f"{dt:g}"].found
+    for name, dt in programs:
+        fallen = done[name, dt].found
         away = np.linalg.norm(fallen.mean - mine - (fallen.mean - mine)[0], axis=1).max()
         told = (
             f"mean place falls {mine[0, 1] - mine[-1, 1]:.2f} mm",
@@ -170,15 +180,14 @@ def rings_in_motion(k: int, steps: tuple[float, ...]) -> list[Row]:
             f"{away / height:.2%} of the height at most",
         )
         of = f"{len(begun.frames[0].rings.centre)} rings, a corner let go, {let_go.DURATION:g} s; step {dt:g} of theirs"
-        rows.append(row(of, titled("mujoco"), done["ours"].seconds, done[f"{dt:g}"].seconds, told))
+        rows.append(row(of, titled(name), done["ours"].seconds, fallen.seconds, told))
     return rows
 
 
 def measure(full: bool) -> Section:
     """The section; `full` has larger curtains and sheets."""
     rows = [one for cells in (*CELLS, *(50,) * full) for one in cone_programs(cells)] + locked_cells()
-    if is_here("mujoco"):
-        rows += rings_in_motion(let_go.BESIDE if full else 1, engine.STEPS[: 1 + full])
+    rows += rings_in_motion(2 if full else 1, 1 + full)
     missing = ", ".join(f"{PEERS[name][0]} (`pip install {name}`)" for name in PEERS if not is_here(name))
     left_out = f"Left out, as not installed: {missing}. " * bool(missing) + LEFT_OUT
     ratios = [one["theirs over ours"] for one in rows]

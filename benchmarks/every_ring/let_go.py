@@ -1,13 +1,10 @@
 """Every ring in motion against the disk in motion and MuJoCo: a sheet let go at one corner, and a gust on a sheet."""
 
 import time
-from dataclasses import replace
 from functools import cache
-from importlib.util import find_spec
 
 import numpy as np
 
-from benchmarks.every_ring import engine
 from benchmarks.every_ring.cases import SHEETS
 from benchmarks.frame import Section, table
 from benchmarks.measure import Row
@@ -60,20 +57,6 @@ def solved(name: str, k: int) -> Row:
     return found | {"share": 100.0 / SHEETS[0].sides(k)[1], "seconds": seconds}
 
 
-def engine_row(dt: float, ours: Row) -> Row:
-    """MuJoCo's way of the mean place against ours, its least gap and seconds."""
-    scene = replace(motion_scene(SCENES[0], BESIDE), motion=Motion(STEP, STEP))
-    fallen = engine.fall(MovingRings(scene).solve(), DURATION, dt)
-    away = fallen.mean - ours["places"][1]
-    away = ours["share"] * (away - away[0])
-    return {
-        "step, sqrt(r1 / g)": dt,
-        **{f"up at {t:g} s, %": away[round(t / STEP), 1] for t in (0.05, 0.1, 0.15)},
-        **{"largest distance, %": np.linalg.norm(away, axis=1).max(), "least gap, r1": fallen.least_gap},
-        **{"s of MuJoCo": fallen.seconds, "s of ours": ours["seconds"]},
-    }
-
-
 def measure(full: bool) -> Section:
     """The section; `full` takes 413 rings as well."""
     rows, ends = [], []
@@ -93,13 +76,6 @@ def measure(full: bool) -> Section:
         f"{100.0 * TRAVEL:g} % of the way of the disk. `lost`: by locking and by the scheme "
         "until the end, part of the energy that weight and wind have given the disk at most."
     )
-    if find_spec("mujoco") is not None:
-        ours = solved(SCENES[0], BESIDE)
-        peers = [engine_row(dt, ours) for dt in engine.STEPS]
-        forms = {"step, sqrt(r1 / g)": "g", "least gap, r1": "+.4f", "s of MuJoCo": ".0f", "s of ours": ".0f"}
-        title = f"{ours['rings']} rings, a corner let go, in MuJoCo: way of the mean place less ours"
-        tables.append(table(title, peers, _forms(peers[0], forms)))
-        text += " " + engine.TEXT
     held = [end for end in ends if end["beyond, %"] <= 0.0]
     conclusion = (
         f"{len(held)} of {len(ends)} runs stay within what is allowed at every step; the energy account of the rings "
