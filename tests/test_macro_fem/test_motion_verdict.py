@@ -153,5 +153,7 @@ def test_every_ring_in_motion_is_an_answer_too(tmp_path):
     assert (answer.summary.holds, answer.safety_factor) == (None, None)
     assert "every ring is rigid" in (answer.summary.verdict_note or "")
     assert answer.summary.at_s > 0.0  # pulled up, it bears more
+    force = [frame.rings.contacts.force.max() for frame in answer.series.shown.values()]
+    assert answer.summary["peak_contact_force_at_s"] == 0.002 * np.argmax(force) > 0.0
     answer.save(tmp_path, picture=False)
     assert {"motion_0002.vtu", "support_forces.csv"} <= {one.name for one in tmp_path.iterdir()}

@@ -12,7 +12,7 @@ from homogenize import default_law
 from macro_fem import EveryRing, read_scene
 from macro_fem.cli import main
 from macro_fem.motion import COLUMNS, TONNE, Moment, MovingRings, account_error
-from macro_fem.output import parts
+from macro_fem.output import in_turn, parts
 from rve import InputError
 from rve.finite import slack_rings
 from tests.films import film_of
@@ -176,6 +176,9 @@ def test_a_ball_that_strikes_a_sheet_without_supports_keeps_momentum_and_links()
     ax.collections[0].update_scalarmappable()
     assert len(np.unique(ax.collections[0].get_edgecolor(), axis=0)) > 2  # by their forces
     assert {"ball", "ball 2"} <= set(parts(drawn.draw()))
+    views = MovingRings(read_scene(CURTAIN | FREE)).views([found.frames[0], found.frames[-1]])
+    first, last = (plotter.camera.focal_point for _, plotter in in_turn(zip("ab", views, strict=True)))
+    assert first == last  # one camera for all moments
 
 
 def test_wind_with_a_speed_acts_by_the_velocity_relative_to_the_rings():

@@ -10,7 +10,7 @@ from rve.common import WEIGHT, double_dot, dyad, mirror, trace
 from rve.geometry import FOUR_IN_ONE, SIX_IN_ONE, deformation_gradient, second_pk
 from rve.locking import Equations, LoadedCell
 from rve.locking.relaxation import best_mixture, equal_shares
-from rve.solve import reference_sides
+from rve.solve import largest_table, locked_states, reference_sides
 
 FIRST = DirectOptions(branches="first")
 
@@ -28,6 +28,16 @@ def test_where_one_state_is_known_nothing_changes():
     assert first.branch is None
     assert (best.branch == "slack").all()
     assert best.origin.notes["branches"]["several_states"] == []
+
+
+def test_a_row_that_stalled_is_solved_from_its_neighbour_also_where_a_quick_restart_stalls():
+    cell, alpha, beta = Cell(), np.array([10.0, 14.0]), np.array([20.0, 24.0])
+    states = locked_states(alpha, beta, cell, DirectOptions())
+    found = replace(states.found, status=np.array(["converged", "stalled"], dtype="<U16"))
+    quick = DirectOptions(max_iterations=4)
+    table, _ = largest_table(alpha, beta, replace(states, found=found), quick, reference_sides(cell, DirectOptions()))
+    assert table.branch.tolist() == ["slack", "restart"]
+    np.testing.assert_allclose(table.E, solve_table(cell, (alpha, beta)).E, atol=1e-9)
 
 
 @pytest.mark.slow

@@ -257,6 +257,11 @@ def test_matrix_and_products_are_sums_over_pairs():
     assert np.allclose(matrix() @ (motions.T @ step.q.ravel()), now.push)
     assert np.allclose(step.dgap, jac @ step.q.ravel())
     assert not step.q.ravel()[np.diff(motions.indptr) == 0].any()
+    mesh = FiniteMesh.rectangle(Cell(), 24, 24)  # more pairs than are summed at once
+    con = find_mesh_contacts(MeshPose(mesh.slack()[0] / 5.0, mesh.slack()[1]), mesh.linked, 0.1, 0.6)
+    G, stiff, sums = gradients(con), rng.uniform(size=len(con.gap)), np.zeros((len(con.key), 7, 7))
+    np.add.at(sums, con.minima.pair, stiff[:, None, None] * G[:, :, None] * G[:, None, :])
+    assert np.allclose(blocks(con, G, stiff, 0.0 * stiff), sums)
 
 
 def test_a_factor_serves_for_stiffer_contacts_and_pairs():
@@ -264,6 +269,8 @@ def test_a_factor_serves_for_stiffer_contacts_and_pairs():
     now.step()
     factors, x = now.factors, rng.standard_normal(motions.shape[1])
     tight = np.flatnonzero(np.isin(now.con.key, now.problem.keys))[:2]
+    factor, solved = now._factor, []
+    now._factor = lambda push: (push.ndim == 2 and solved.append(push.shape[1])) or factor(push)
     for count in (0, 4, 2):
         extra, local = now.iterate.extra.copy(), now.iterate.local.copy()
         extra[rng.choice(len(jac), count, replace=False)] += rng.uniform(1.0, 90.0, count)
@@ -271,6 +278,7 @@ def test_a_factor_serves_for_stiffer_contacts_and_pairs():
         now.iterate = replace(now.iterate, extra=extra, local=local)
         assert np.allclose(matrix() @ now.step().solve(x), x)
     assert now.factors == factors
+    assert sum(solved) == len(now._solutions) > 0  # each row once
 
 
 def test_forces_that_stop_are_those_of_a_complementarity_problem():

@@ -127,6 +127,9 @@ def test_two_sizes_of_rings_are_two_solids(tmp_path):
         np.testing.assert_allclose(np.abs((turn[order, :, 2] * normal).sum(axis=1)), 1.0, atol=1e-6)
         outer = [np.ptp(solids[k].vertices[:, 0]) for k in order]
         assert outer == pytest.approx([11.0, 6.8, 11.0], rel=1e-5)
+    metal, floor = rings.render().meshes  # which lies behind the sheet of the centres, here that of x and z
+    assert np.ptp(floor.points[:, 1]) < 1e-6
+    assert floor.bounds.y_max < metal.bounds.y_min
 
 
 @pytest.mark.slow

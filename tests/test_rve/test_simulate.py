@@ -103,7 +103,7 @@ def test_a_case_that_does_not_rest_says_so_and_keeps_its_last_state():
         (([0.0], [120.0]), "cannot push"),
         (([0.0], [np.nan]), "finite"),
         (([0.0], ["much"]), "numbers"),
-        (([], []), "finite"),
+        (([], []), "^alpha and beta must be finite"),
         (([0.0, 1.0], [1.0, 2.0, 3.0]), "as many"),
     ],
 )
@@ -119,6 +119,7 @@ def test_loads_that_make_no_sense_are_refused(loads, words):
         ("1,0,45,1\n", "begin at 0"),
         ("0,0,45,1\n5,0,45,0\n", "last one"),
         ("0,0,95,1\n", "cannot push"),
+        ("0,360.5,45,1\n", "from -360 to 360"),
         ("0,0,45,x\n", "line 2"),
     ],
 )

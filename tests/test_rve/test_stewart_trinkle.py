@@ -130,6 +130,8 @@ def test_first_step_from_rest_is_the_implicit_one(loads):
     left = (dynamics.mass / rest.h[0] + dynamics.drag) @ after.v[0]
     assert left[[0, 3]] == pytest.approx(force[[0, 3]], rel=1e-12)
     assert left[4:6] == pytest.approx(0.0, abs=1e-12)
+    after.v[0] = [*np.zeros(len(after.v[0]) - 3), 0.0, -3.0, 4.0]  # the last ring spins in place
+    assert dynamics.largest_motion(after.v) == pytest.approx([5.0])
 
 
 def test_too_few_steps_and_a_step_that_cannot_shrink_are_told():

@@ -209,13 +209,14 @@ def test_tension_is_in_balance_with_the_load_and_grows_with_it():
         assert found.stress[row] == pytest.approx(0.5 * 3.0 * ratio * pitch / (np.pi * 0.25), rel=1e-4)
 
 
-def test_wires_touch_between_the_places_of_both():
-    cell = Cell(5.0, 0.5)
+@pytest.mark.parametrize("name", ["4-in-1", "own"])
+def test_wires_touch_between_the_places_of_both(name):
+    cell = cell_of(name)
     found = string_states(cell, ALONG[None], reference_cell(cell).sides_mm)
     at, corners = found.contacts(0), found.corners(0)
-    first = found.mesh.ring == 0  # all links of 4-in-1 begin at its first ring
+    first = found.mesh.ring == 0  # all links of both weaves begin at the first ring
     gap = np.linalg.norm(at[found.mesh.link[first]] - corners[first], axis=1)
-    assert gap == pytest.approx(0.5, rel=1e-6)
+    assert gap == pytest.approx(cell.r2 * cell.weave.wires[1], rel=1e-6)
 
 
 @pytest.mark.slow
