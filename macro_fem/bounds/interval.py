@@ -144,6 +144,7 @@ def _solve(solution: CurtainSolution, inward: float) -> tuple[DualProblem, PathR
     law, terms = problem.law, Terms(walls=dual.walls)
     if problem.scene.solver.is_plastic:
         law, terms = problem.plastic_law, replace(terms, flow=flow_of(problem, dual.fem.disc))
+        path = replace(path, gap=0.1 * path.gap)  # what the dual program leaves is part of the interval of the work
         x = at_dual_nodes(gathered_start(problem), dual.mesh)
     load, start = dual.fem.gather(dual.force), dual.fem.unknowns(x)
     return dual, solve_path(dual.fem, law, load, start, problem.mesh.size, path, terms)

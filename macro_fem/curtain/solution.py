@@ -27,7 +27,7 @@ class CurtainSolution(CurtainState, Judged):
     bounds primal and dual then are; None for the law as it is. `second_step`: whether forces are those of elastic rings
     by a second step, and why; None where that is no question. `settling`: how far the rounds of
     `macro_fem.curtain.shape` have come, None where the problem is convex. tau (nq,): plastic work per area, N/mm, None
-    where rings do not flow.
+    where rings do not flow; drawn: see `Evidence`.
     """
 
     stop: str
@@ -42,6 +42,7 @@ class CurtainSolution(CurtainState, Judged):
     second_step: tuple[bool, str] | None = None
     settling: Settling | None = None
     tau: Array | None = None
+    drawn: float = 1.0
 
     @property
     def elastic(self) -> bool:
@@ -54,7 +55,7 @@ class CurtainSolution(CurtainState, Judged):
     @cached_property
     def evidence(self) -> Evidence:
         """The errors of this answer, from its own numbers and the solver's dual value."""
-        return Evidence(self.relative_gap, self.residual, self._violation())
+        return Evidence(self.relative_gap / self.drawn, self.residual / self.drawn, self._violation(), self.drawn)
 
     @cached_property
     def verdict(self) -> Verdict:
@@ -146,7 +147,7 @@ class CurtainSolution(CurtainState, Judged):
         The even tension presses the curtain on obstacles beside it with up to tension times size. At a relative gap g
         the solver's path pushes with up to about g of the load where nothing touches. Rounds leave their misfit.
         """
-        errors = ROUNDING + abs(self.relative_gap) + self.residual
+        errors = ROUNDING * self.drawn + abs(self.relative_gap) + self.residual
         errors += 0.0 if self.settling is None else self.settling.misfit
         return float(errors * self._total + 2.0 * self.tension * self.problem.mesh.size)
 

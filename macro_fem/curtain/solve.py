@@ -168,7 +168,7 @@ def make_solution(
     held = fem.gradient(np.zeros_like(result.z))
     held_part = float((fem.disc.weight[:, None, None] * tension * problem.frame * held).sum())
     allowance = _tension_allowance(problem, tension, F)
-    scale = load_scale(problem.force, problem.disc.weight) * problem.mesh.size
+    scale = load_scale(problem.force, problem.disc.weight) * problem.mesh.size * result.evidence.drawn
     stored = float(fem.disc.weight @ problem.elastic_law.response(green_strain(F)).energy) if elastic else 0.0
     stored += 0.0 if result.tau is None else float(fem.disc.weight @ result.tau)
     return CurtainSolution(
@@ -185,6 +185,7 @@ def make_solution(
         relaxation=relaxation,
         cones=result.cones,
         tau=result.tau,
+        drawn=result.evidence.drawn,
     )
 
 

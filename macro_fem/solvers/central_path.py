@@ -94,20 +94,11 @@ class _Place:
         E = program.locked(program.fem.gradient(z), self.state.eps)
         return -min(least_slack(program.law, E), float(program.rows.slack(z).min(initial=np.inf)))
 
-    def relative(self, options: PathOptions) -> PathOptions:
-        """The options, the gap of a limit relative to it, and of rings that flow to the sum of stress times
-        deformation over the energy scale, where these are larger than 1: supports may draw rings harder than loads."""
-        program, state = self.program, self.state
-        if program.flow is None:
-            return options
-        drawn = float((program.w * program.c * state.y.head).sum()) / program.scale
-        return replace(options, gap=options.gap * max(1.0, state.factor if program.is_limit else drawn))
-
     @property
     def evidence(self) -> Evidence:
         """The errors of this place as an answer."""
-        gap = (self.primal - self.lower) / self.program.scale
-        return Evidence(gap, self.now.unbalanced, self.violation)
+        gap, drawn = (self.primal - self.lower) / self.program.scale, self.now.drawn
+        return Evidence(gap / drawn, self.now.unbalanced / drawn, self.violation, drawn)
 
 
 def solve_path(
@@ -156,10 +147,10 @@ def _follow(place: _Place, options: PathOptions) -> tuple[_Place, str, _Place, i
     """Where the path from a place ends, why, the place near it with the largest margin, and how many steps."""
     inner, best = replace(place, interior_margin=-place.violation), place
     prunes, steps, waited, held = list(options.pruned_at), 0, 0, 0
-    while (stop := _find_stop(place, inner, place.relative(options), steps)) is None:
+    while (stop := _find_stop(place, inner, options, steps)) is None:
         points = len(place.program.fem.disc.weight)
         tell(f"curtain of {points} points, gap {place.now.gap:.0e} down to {options.gap:.0e}")
-        after = None if waited > STOP.patience else _try_step(place, place.relative(options), may_wait=held < STOP.anew)
+        after = None if waited > STOP.patience else _try_step(place, options, may_wait=held < STOP.anew)
         if after is None:
             return best, "stalled", inner, steps
         known, (program, state, is_moved, margin) = len(place.program.c), after
@@ -184,7 +175,7 @@ def _try_step(place: _Place, options: PathOptions, *, may_wait: bool) -> tuple[P
     they spoil it; whether the state has moved, and its interior margin. None where rounding leaves no step.
     """
     program, state, now = place.program, place.state, place.now
-    step = find_step(program, state, now, options.least_gap * options.gap)
+    step = find_step(program, state, now, options.least_gap * options.gap * now.drawn)
     if step is None or max(step.primal, step.dual) == 0.0:
         return None
     F = program.fem.gradient(state.z + step.primal * step.dz)
@@ -210,7 +201,7 @@ def _find_stop(place: _Place, inner: _Place, options: PathOptions, steps: int) -
     is_dual = not program.lead and program.flow is None and now.outside != 0.0 and now.dual > 0.0
     if is_dual and float(np.abs(now.r_y).sum()) / program.total < 1e-6 * now.dual:  # y proves that there is no z
         return "blocked" if len(place.state.u) else "infeasible"
-    is_close = place.now.error < options.gap and place.violation < options.violation
+    is_close = now.error < options.gap * now.drawn and place.violation < options.violation
     if is_close and _draw_inside(place, inner, options).evidence.meets(options.accuracy):
         return "closed"
     if options.enough is not None and options.enough(place.state.z, place.lower):
@@ -238,7 +229,7 @@ def _make_result(place: _Place, stop: str, inner: _Place, steps: int, options: P
     """The record, its numbers those of the answer it holds."""
     answer = place if stop in ("infeasible", "blocked") else _draw_inside(place, inner, options)
     program, y = place.program, place.state.y
-    tail, options = y.tail[:, program.lead :], place.relative(options)
+    tail = y.tail[:, program.lead :]
     excess = place.now.dual * program.scale / float((program.w * y.head * program.c).sum())
     lam = program.carried(y) / (place.state.s.head if program.flow else program.c)
     return PathResult(

@@ -200,7 +200,9 @@ class Measure:
     of the strains; error: the largest of these. lower: a bound of the potential from below over all states within REACH
     sizes of this one; dual: the same without what unbalanced forces could do. wanted: the cone vectors that the
     unknowns ask for. Residuals of equilibrium r_x (n,), strains r_e (nq, k), cones r_s, half-spaces on points r_t (m,),
-    of l.z = scale where a limit is asked for r_f; r_y (n,): the forces of the dual variables alone.
+    of l.z = scale where a limit is asked for r_f; r_y (n,): the forces of the dual variables alone. drawn, 1 or more:
+    what accuracy is relative to, over the scale: of rings that flow the sum of stress times deformation, since supports
+    may draw them harder than loads; of their limit the factor.
     """
 
     gap: float
@@ -216,6 +218,7 @@ class Measure:
     r_s: Vectors
     r_t: Array
     r_f: float = 0.0
+    drawn: float = 1.0
 
     @property
     def error(self) -> float:
@@ -243,7 +246,9 @@ def measure(program: Program, state: ConeState) -> Measure:
     unbalanced = float(np.abs(r_x).sum()) / program.total
     lower = (dual - float(((state.factor * program.load + r_y) * state.z).sum()) + energy) / scale
     strained = float(np.sqrt((fem.disc.weight * soc.row_dot(r_e, r_e)).sum() / scale))
+    drawn = 1.0
     if program.flow is not None:
+        drawn = max(drawn, state.factor if program.is_limit else float((w * program.c) @ state.y.head) / scale)
         strained = float(np.abs(r_e).max()) + abs(r_f) / scale
         lower -= REACH * strained
     return Measure(
@@ -260,6 +265,7 @@ def measure(program: Program, state: ConeState) -> Measure:
         r_s=r_s,
         r_t=r_t,
         r_f=r_f,
+        drawn=drawn,
     )
 
 
@@ -271,8 +277,11 @@ def mean_product(program: Program, state: ConeState) -> float:
 
 
 def find_first_state(program: Program, z: Array, first_gap: float) -> ConeState:
-    """A state at z on the central path of the first gap; cone vectors of violated cones are lifted inside."""
+    """A state at z on the central path of the first gap, or of stresses that make rings flow where these are larger;
+    cone vectors of violated cones are lifted inside."""
     mu = first_gap * program.scale / program.area
+    if program.flow is not None and not program.is_limit:  # as supports may draw them: else twice the steps
+        mu = max(mu, len(program.cones.first) / float((program.N[:, 0] / program.c).sum()))
     v = np.ones((len(program.fem.disc.weight), 1 if program.flow is not None else 0))
     eps = mu * v if v.size else np.zeros((len(v), program.N.shape[1]))
     s = program.slack(z, eps).lifted(LIFT * program.c)

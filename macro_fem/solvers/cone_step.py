@@ -98,6 +98,11 @@ class _Newton:
         self.root: Array = np.asarray(np.linalg.cholesky(H[:, :k, :k]))
         self.couple: Array = np.asarray(np.linalg.solve(self.root, H[:, :k, k:]))
         A = H[:, k:, k:] - self.couple.swapaxes(1, 2) @ self.couple if k else H
+        if program.flow is not None:  # tau = -t dF taken into each cone: the difference would lose twice the digits
+            t, rest = H[:, 0, 1:] / H[:, 0, :1], state.v / state.eps
+            A = cones.sum_of_squares(q[:, 1:] - q[:, :1] * t[cones.point], 2.0 * inv2)
+            add_stress(A, cones.stress(inv2))
+            A += (rest - cones.sum(inv2 * program.N[:, 0] ** 2)[:, None])[:, :, None] * t[:, :, None] * t[:, None, :]
         self.solve = program.fem.factorize(A.reshape(-1, d, 2, d, 2), program.added(state.u / state.t))
         self.by_load = self.solve(program.load) if program.is_limit else None
 
@@ -161,7 +166,7 @@ def find_step(program: Program, state: ConeState, now: Measure, least_gap: float
     sigma = (1.0 - min(affine.primal, affine.dual)) ** 3
     second = soc.product(scaled_ds, scaled_dy)
     aim = max(sigma * mu, min(mu, least_gap * program.scale / program.area))
-    ahead = STEP.ahead if program.is_limit else STEP.far_ahead
+    ahead = STEP.ahead if program.is_limit else max(STEP.ahead, STEP.far_ahead / now.drawn)
     if program.flow is not None and max(now.unbalanced, now.strain) > ahead * now.gap:
         aim = mu
     row_aim = aim - row_square - affine.dt * affine.du

@@ -28,12 +28,14 @@ class Evidence:
     """What an answer's own numbers say, all relative; or the largest ones with which it counts as one.
 
     gap: upper minus lower bound over load times size; unbalanced: sum of the forces on free unknowns that do not
-    balance over the sum of the loads; violation: of the law, over h + tr S / 2, negative inside.
+    balance over the sum of the loads; violation: of the law, over h + tr S / 2, negative inside. drawn: where supports
+    draw rings that flow harder than loads, the first two are over so many times the loads.
     """
 
     gap: float
     unbalanced: float
     violation: float
+    drawn: float = 1.0
 
     @property
     def is_finite(self) -> bool:
@@ -47,8 +49,8 @@ class Evidence:
 
     def meets(self, asked: Evidence, more: float = 0.0) -> bool:
         """Whether no number is larger than asked by more than `more`."""
-        found, limits = vars(self) | {"gap": abs(self.gap)}, vars(asked)
-        return self.is_finite and all(found[name] <= limits[name] + more for name in limits)
+        found, limits = ((abs(one.gap), one.unbalanced, one.violation) for one in (self, asked))
+        return self.is_finite and all(error <= limit + more for error, limit in zip(found, limits, strict=True))
 
 
 @dataclass(frozen=True)
@@ -204,6 +206,7 @@ COLLAPSED = (
     "shown is the curtain whose rings do not flow; take smaller loads, thicker wire or a stronger metal"
 )
 CONVERGED = "the gap between upper and lower bound is closed"
+DRAWN = "; supports draw rings {:.3g} times as hard as loads do, which is what errors are relative to"
 ROUNDED = "the gap between upper and lower bound is closed up to rounding: {numbers}"
 TAUT = (
     "the supports are as far apart as the mesh can stretch, within {limit:g} %: loads do not decide the line loads and "
@@ -243,7 +246,7 @@ def judged(
         return Verdict(Status.COLLAPSED, COLLAPSED)
     if stop == "blocked":
         return Verdict(Status.INFEASIBLE, BLOCKED)
-    numbers = NUMBERS.format(evidence)
+    numbers = NUMBERS.format(evidence) + DRAWN.format(evidence.drawn) * (evidence.drawn > 1.0)
     if not evidence.is_finite:
         return Verdict(Status.NOT_FINITE, WHY["not_finite"])
     is_rounded = stop in ("closed", "stalled") and evidence.meets(asked, ROUNDING)
@@ -252,4 +255,5 @@ def judged(
     if reach.is_at_limit:
         how = ", by their stiffness" if relaxation is None else f" {100.0 * relaxation:.3g} % beyond locking"
         return Verdict(Status.TAUT, TAUT.format(limit=100.0 * AT_LIMIT, give=how))
-    return Verdict(Status.CONVERGED, CONVERGED if evidence.meets(asked) else ROUNDED.format(numbers=numbers))
+    closed = CONVERGED + DRAWN.format(evidence.drawn) * (evidence.drawn > 1.0)
+    return Verdict(Status.CONVERGED, closed if evidence.meets(asked) else ROUNDED.format(numbers=numbers))

@@ -20,7 +20,7 @@ from rve.common.typed import Typed, did_you_mean, read_entry, refuse_unknown, ty
 Young = Annotated[float, Meta(ge=500.0, le=2e6, title="N/mm2")]
 """N/mm2: from soft plastics to diamond. Values in GPa (steel 210, tungsten 411) are below and refused."""
 Poisson = Annotated[float, Meta(ge=0.0, le=0.5)]
-Stress = Annotated[float, Meta(gt=0.0, le=2e4, title="N/mm2")]
+Stress = Annotated[float, Meta(ge=1e-3, le=2e4, title="N/mm2")]
 
 
 @dataclass(frozen=True)

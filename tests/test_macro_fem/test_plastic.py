@@ -264,6 +264,40 @@ def test_random_scenes_have_an_answer_up_to_their_limit_and_none_beyond(seed):
     check_random(seed)
 
 
+@pytest.mark.parametrize("strings", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_supports_draw_a_strip_out_at_its_collapse_load_without_any_other(strings):
+    sides = [
+        {"kind": "edge", "edge": edge, "held": "x", "move": [way, 0.0]} for edge, way in (("left", 0), ("right", 80))
+    ]
+    tables = sheet(100.0, 100.0, 4, sides, load={"gravity": 0.0}, solver={"kind": "plastic", "strings": strings})
+    found, across = solve_problem(posed(tables)), np.eye(3)[:1]
+    longest = 100.0 * float(np.sqrt(1.0 + 2.0 * default_law().support(across)[0]))
+    assert found.status == "converged"
+    assert found.plastic_work == pytest.approx(100.0 * capacity(across) * (180.0 - longest), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "gravity", [pytest.param(9.81, marks=pytest.mark.slow), pytest.param(1e-4, marks=pytest.mark.slow), 0.0]
+)
+@pytest.mark.parametrize(
+    "support",
+    [
+        {"kind": "corners", "gather": 1.6},
+        {"kind": "corners", "gather": 2.0},
+        {"kind": "top", "gather": 1.7},
+        [{"kind": "edge", "edge": "left"}, {"kind": "edge", "edge": "right", "move": [60.0, 0.0]}],
+    ],
+)
+def test_supports_draw_rings_as_far_as_they_flow_under_next_to_no_load(support, gravity):
+    """Line loads are up to 1e8 times those of the weight: steps that closed the gap before forces balanced stalled."""
+    tables = sheet(100.0, 100.0, 4, support, load={"gravity": gravity}, solver={"kind": "plastic"})
+    found, doubled = (solve_problem(posed(tables, law)) for law in (default_law(), weaker(0.5)))
+    assert found.status == doubled.status == "converged", found.message
+    assert found.drawn > 100.0
+    if gravity < 1e-3:  # work of rings twice as strong is twice as much
+        assert doubled.plastic_work == pytest.approx(2.0 * found.plastic_work, rel=1e-5)
+
+
 def test_rings_that_never_flow_give_the_rigid_curtain():
     strong = weaker(1e-9)
     tables = sheet(

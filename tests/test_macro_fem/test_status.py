@@ -44,6 +44,7 @@ def test_no_reason_to_stop_outweighs_a_bad_number(stop, number, value):
 @pytest.mark.parametrize("stop", ["closed", "stalled"])
 def test_just_within_and_just_beyond_what_is_asked(stop):
     assert judged(stop, GOOD, ASKED, 7).message == "the gap between upper and lower bound is closed"
+    assert "supports draw rings 170 times as hard" in judged(stop, replace(GOOD, drawn=170.0), ASKED, 7).message
     rounded = judged(stop, replace(GOOD, gap=9e-7), ASKED, 7)
     assert rounded.status == "converged"
     assert "9.0e-07" in rounded.message
