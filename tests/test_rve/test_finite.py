@@ -213,6 +213,15 @@ def test_joining_rings_that_turn_until_their_contact_splits_come_to_rest(weave, 
     assert rings.contacts.gap @ rings.contacts.force < 1e-6 * np.abs(force).sum() * 5.0
     assert rings.contacts.links_intact
     assert 0.0 < rings.contacts.min_gap_mm < 1e-6
+    whole, size = rings.contacts.whole  # a contact that is spread over points counts once
+    counts = np.unique(whole, axis=0, return_counts=True)[1]
+    assert counts.max() <= 2 < np.unique(pairs, axis=0, return_counts=True)[1].max()
+    assert size.sum() <= rings.contacts.force.sum() * (1.0 + 1e-12)
+    for a, b in whole[size > 1e-6 * size.max()]:  # the sum of what its points push, whatever their number
+        here = (pairs == [a, b]).all(axis=1)
+        both = size[(whole == [a, b]).all(axis=1)]
+        assert both.max() <= np.linalg.norm(push[here], axis=1).sum() * (1.0 + 1e-12)
+        assert len(both) > 1 or both[0] == pytest.approx(np.linalg.norm(push[here].sum(axis=0)))
 
 
 def some_iteration():
