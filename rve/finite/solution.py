@@ -50,7 +50,7 @@ class SolverResult:
 
 @dataclass(frozen=True, eq=False)
 class RingContacts:
-    """Points where rings push: pairs (m, 2) of rings a < b, unit normals (m, 3) from a to b, forces (m,) in N with which
+    """Points of contacts: pairs (m, 2) of rings a < b, unit normals (m, 3) from a to b, forces (m,) in N with which
     they push each other apart, gaps (m,) in mm; the least gap of any two rings, whether exactly the linked ones are."""
 
     pairs: NDArray[np.intp]
