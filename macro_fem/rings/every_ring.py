@@ -84,7 +84,8 @@ class EveryRingSolution(Solution):
     def summary(self) -> EveryRingSummary:
         """The numbers of summary.json: lengths in mm, forces in N; null for forces where there are none."""
         rings, solution, contacts = self.scene, self.found, self.found.contacts
-        largest = float(contacts.force.max(initial=0.0))  # nan where there are no forces
+        force = contacts.whole[1]
+        largest = float(force.max(initial=0.0))  # nan where there are no forces
         return EveryRingSummary(
             status=solution.status,
             message=solution.message,
@@ -100,7 +101,7 @@ class EveryRingSolution(Solution):
             links_intact=contacts.links_intact,
             kkt_residual=or_none(solution.kkt_residual),
             way_left_mm=solution.way_left_mm,
-            contacts=int((contacts.force > 1e-6 * largest).sum()) if np.isfinite(largest) else None,
+            contacts=int((force > 1e-6 * largest).sum()) if np.isfinite(largest) else None,
             largest_contact_force_N=or_none(largest),
             total_load_N=solution.load.sum(axis=0).tolist(),
             support_forces=ring_supports(rings, solution),

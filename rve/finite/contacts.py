@@ -300,7 +300,8 @@ def find_mesh_contacts(
     gap = minima.distance - wires[minima.pair]
     np.minimum.at(deepest, minima.pair, gap)
     points = replace(points, contact=np.argsort(order)[points.contact])
-    gap[points.rows] = points.mean(points.gap)
+    # Beyond the reach a force would be negative, and no force could change in a step.
+    gap[points.rows] = np.minimum(points.mean(points.gap), reach)
     return MeshContacts(pose, wire, reach, key, minima, fixed, gap, deepest, a, b, points)
 
 

@@ -323,7 +323,9 @@ def line_search(system: NewtonSystem, step: Step, *, is_last: bool) -> tuple[Mes
             system.iterate = replace(iterate, local=local, damping=damping)
             return None, 0.0
         length *= 0.5
-    local = np.where(step.safe < 0.5, np.maximum(2.0 * iterate.local, 0.1), 0.4 * iterate.local)
+    # That of wide contacts grows to 1 / gap, and must have gone before the residual counts as stagnant.
+    fade = 0.1 if system.problem.wide else 0.4
+    local = np.where(step.safe < 0.5, np.maximum(2.0 * iterate.local, 0.1), fade * iterate.local)
     system.iterate = replace(iterate, local=np.where(local < 1e-3, 0.0, local))
     return new, length
 

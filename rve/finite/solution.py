@@ -50,7 +50,7 @@ class SolverResult:
 
 @dataclass(frozen=True, eq=False)
 class RingContacts:
-    """Contacts of the rings: pairs (m, 2) of rings a < b, unit normals (m, 3) from a to b, forces (m,) in N with which
+    """Points of contacts: pairs (m, 2) of rings a < b, unit normals (m, 3) from a to b, forces (m,) in N with which
     they push each other apart, gaps (m,) in mm; the least gap of any two rings, whether exactly the linked ones are."""
 
     pairs: NDArray[np.intp]
@@ -59,6 +59,21 @@ class RingContacts:
     gap: Array
     min_gap_mm: float
     links_intact: bool
+
+    @property
+    def whole(self) -> tuple[NDArray[np.intp], Array]:
+        """Pairs (k, 2) and forces (k,) in N of whole contacts.
+
+        Circles have two minima of their distance at most: a pair with more points is one contact, spread over them.
+        """
+        _, pair, count = np.unique(self.pairs, axis=0, return_inverse=True, return_counts=True)
+        pair = pair.ravel()
+        is_wide = count[pair] > 2
+        at = np.where(is_wide, -1 - pair, np.arange(len(pair)))
+        _, first, back = np.unique(at, return_index=True, return_inverse=True)
+        push = np.zeros((len(first), 3))
+        np.add.at(push, back.ravel(), self.force[:, None] * self.normal)
+        return self.pairs[first], np.asarray(np.linalg.norm(push, axis=1))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,9 +136,9 @@ class FiniteSolution:
         """Largest contact force (n,) in N on each ring; nan where the solution has no forces."""
         if not np.isfinite(self.contacts.force).all():
             return np.full(len(self.centre), np.nan)
-        out = np.zeros(len(self.centre))
-        for side in self.contacts.pairs.T:
-            np.maximum.at(out, side, self.contacts.force)
+        out, (pairs, force) = np.zeros(len(self.centre)), self.contacts.whole
+        for side in pairs.T:
+            np.maximum.at(out, side, force)
         return out
 
     def line_load(self, group: NDArray[np.intp], area: Array) -> Array:

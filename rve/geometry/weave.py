@@ -30,6 +30,8 @@ from rve.geometry.slack import Link, flags_of, loosen, matched, near_pairs, once
 
 MOST_RINGS = 40
 """Rings of a cell: the equations of more, five unknowns each, take hours a table."""
+MOST_CROWDED = 100.0
+"""Sum of r1^2 of the rings of a cell over its area, 2 in 8-in-1: the pairs that can touch grow with it."""
 WITHIN = 3.2
 """Pairs of rings that are nearer in the slack pose, in the sum of their radii, are looked at for contact. Flat rings of
 japanese-6-in-1 meet at r1/r2 = 96 that are more than 3.0 apart there."""
@@ -212,9 +214,10 @@ def _read_off(drawing: Drawing) -> Weave:
     area = float(np.linalg.det(lattice))
     if not abs(area) > 0.01 * np.prod(np.linalg.norm(lattice, axis=1)):
         raise InputError("lattice: a1 and a2 are parallel or zero; give two vectors that span a cell")
-    if abs(area) < 0.1 * np.pi * rings[int(wires.argmin())].r2 ** 2 or len(rings) * unit**2 > 1e4 * abs(area):
+    size = unit * radii
+    if abs(area) < 0.1 * np.pi * rings[int(wires.argmin())].r2 ** 2 or (size**2).sum() > MOST_CROWDED * abs(area):
         raise InputError(
-            f"lattice: a cell of {abs(area):.4g} mm2 is tiny beside rings of r1 = {unit:g} mm; lengths are in mm"
+            f"lattice: a cell of {abs(area):.4g} mm2 is tiny beside rings of r1 = {size.max():g} mm; lengths are in mm"
         )
     lattice = lattice / unit * [[np.sign(area)], [1.0]]
     first, second = np.arctan2(lattice[:, 1], lattice[:, 0])

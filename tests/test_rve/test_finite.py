@@ -145,13 +145,21 @@ def test_gradients_and_newton_matrix_are_those_of_differences(weave):
         assert v @ -K[con.minima.pair[row]] @ v == pytest.approx(second, abs=1e-3 * (1.0 + abs(second)))
 
 
-def taut_pair(angle, gap, wide=True, lean=0.0):
+def taut_pair(angle, gap, wide=True, lean=0.0, reach=0.3):
     """A joining ring of half the radius that hangs on a flat one, turned about the line of the pull."""
     x, lean = np.array([[0.0, 0, 0], [1.0 - 0.2 - gap + 0.5, 0, 0]]), np.array([0.0, 0.0, 0.0, lean, 0.0])
     normal = np.array([[0.0, 0.0, 1.0], [0.0, -np.sin(angle), np.cos(angle)]])
     pose = MeshPose(x, normal, radii=np.array([1.0, 0.5]), wires=np.ones(2)).moved(np.stack([0.0 * lean, lean]))
     links, none = np.array([[0, 1]]), np.zeros(0, int)
-    return find_mesh_contacts(pose, links, 0.1, 0.3, guard_points=False, wide=none if wide else None)
+    return find_mesh_contacts(pose, links, 0.1, reach, guard_points=False, wide=none if wide else None)
+
+
+def test_a_wide_contact_beyond_the_reach_has_no_force():
+    """Its mean gap may be where its least one is not; a negative force would stop those of all contacts in a step."""
+    within, beyond = taut_pair(0.9, 0.05), taut_pair(0.9, 0.05, reach=0.055)
+    assert beyond.deepest[0] < beyond.reach < within.gap[0] == beyond.wide.mean(beyond.wide.gap)[0]
+    assert beyond.gap[0] == beyond.reach
+    assert beyond.central_forces(1.0)[0] < 1e-6 < within.central_forces(1.0)[0]
 
 
 def test_the_gap_of_a_wide_contact_is_smooth_where_its_minimum_splits():
@@ -213,6 +221,15 @@ def test_joining_rings_that_turn_until_their_contact_splits_come_to_rest(weave, 
     assert rings.contacts.gap @ rings.contacts.force < 1e-6 * np.abs(force).sum() * 5.0
     assert rings.contacts.links_intact
     assert 0.0 < rings.contacts.min_gap_mm < 1e-6
+    whole, size = rings.contacts.whole  # a contact that is spread over points counts once
+    counts = np.unique(whole, axis=0, return_counts=True)[1]
+    assert counts.max() <= 2 < np.unique(pairs, axis=0, return_counts=True)[1].max()
+    assert size.sum() <= rings.contacts.force.sum() * (1.0 + 1e-12)
+    for a, b in whole[size > 1e-6 * size.max()]:  # the sum of what its points push, whatever their number
+        here = (pairs == [a, b]).all(axis=1)
+        both = size[(whole == [a, b]).all(axis=1)]
+        assert both.max() <= np.linalg.norm(push[here], axis=1).sum() * (1.0 + 1e-12)
+        assert len(both) > 1 or both[0] == pytest.approx(np.linalg.norm(push[here].sum(axis=0)))
 
 
 def some_iteration():
