@@ -12,7 +12,7 @@ from rve.common.commands.command_line import Group, answer, check_plot, parse_lo
 from rve.common.materials import Stress
 
 KINDS, CONTRADICTIONS = ("refined", "outer", "inner", "net"), ("list", "drop", "mend")
-"""Those of `homogenize.fitting.table`, which is not imported to print a help text."""
+"""Those of `homogenize.fitting.fit_law`, which is not imported to print a help text."""
 
 
 @click.group(cls=Group)
@@ -45,7 +45,7 @@ def fit(table: Path, out: Path, noise: float | None, cell: str | None, **more: A
 
     TABLE needs the columns E11, E12, E22 and either S11, S12, S22 in any unit or alpha_deg, beta_deg.
     """
-    from homogenize.fitting.table import FitOptions, fit_table
+    from homogenize.fitting.fit_law import FitOptions, fit_table
     from rve import Cell
 
     check_out_file(out, inputs=[table])
