@@ -21,8 +21,8 @@ ROUNDING = 1e-12
 
 
 def check_finite(values: Array, what: str = "strains") -> None:
-    """InputError for `values` that are not (n, 3), and one that names the first row that is not finite."""
-    if np.ndim(values) != 2 or np.shape(values)[1] != 3:
+    """InputError for `values` that are no rows, and one that names the first row that is not finite."""
+    if np.ndim(values) != 2:
         raise InputError(f"{what} are of the shape {np.shape(values)}, not (n, 3): one row of 11, 12, 22 for each")
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(bad):
