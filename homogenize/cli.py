@@ -6,13 +6,13 @@ from typing import Any
 
 import click
 
-from rve.common import InputError, check_out_file, check_out_job, numbers_of, read_entry, require, types_of
+from rve.common import InputError, check_out_file, check_out_job, radii_in, read_entry, require, types_of
 from rve.common.cell_fields import check_ring_size
 from rve.common.commands.command_line import Group, answer, check_plot, parse_load, say, say_next
 from rve.common.materials import Stress
 
 KINDS, CONTRADICTIONS = ("refined", "outer", "inner", "net"), ("list", "drop", "mend")
-"""Those of `homogenize.fitting.table`, which is not imported to print a help text."""
+"""Those of `homogenize.fitting.fit_law`, which is not imported to print a help text."""
 
 
 @click.group(cls=Group)
@@ -37,7 +37,9 @@ def main() -> None:
     type=click.Choice(CONTRADICTIONS),
     help="Rows that contradict each other: refuse them by a list, leave them out, or mend them.  [default: list]",
 )
-@click.option("--cell", metavar="R1,R2[,WEAVE]", help="Rings of a TABLE that does not tell them, radii in mm.")
+@click.option(
+    "--cell", metavar="R1,R2[,WEAVE]", help="Rings of a TABLE that tells none: radii, or inner=8,wire=1.6; mm."
+)
 @click.option("--areal-mass", type=float, help="Mass of the mesh in kg/m2; by default that of the rings.")
 @click.option("--mirrored/--not-mirrored", default=True, help="Whether every row of TABLE stands for its mirror image.")
 def fit(table: Path, out: Path, noise: float | None, cell: str | None, **more: Any) -> None:
@@ -45,7 +47,7 @@ def fit(table: Path, out: Path, noise: float | None, cell: str | None, **more: A
 
     TABLE needs the columns E11, E12, E22 and either S11, S12, S22 in any unit or alpha_deg, beta_deg.
     """
-    from homogenize.fitting.table import FitOptions, fit_table
+    from homogenize.fitting.fit_law import FitOptions, fit_table
     from rve import Cell
 
     check_out_file(out, inputs=[table])
@@ -54,7 +56,8 @@ def fit(table: Path, out: Path, noise: float | None, cell: str | None, **more: A
         if name in asked:
             read_entry({option: asked[name]}, option, types_of(FitOptions)[name])
     if cell is not None:
-        (r1, r2), weave = numbers_of(",".join(cell.split(",")[:2]), "--cell", "R1,R2"), cell.split(",")[2:]
+        sizes, weave = cell.split(",")[:2], cell.split(",")[2:]
+        r1, r2 = radii_in(",".join(sizes), "--cell")
         check_ring_size(r1, "--cell: r1")
         asked["cell"] = Cell(r1, r2, *weave[:1])  # type: ignore[arg-type]
     result = fit_table(table, FitOptions(**asked))

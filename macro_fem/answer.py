@@ -14,7 +14,7 @@ from macro_fem.scene.reading import load_scene
 from macro_fem.scene.scene import Scene
 from macro_fem.solvers.status import Status
 from macro_fem.summary import CurtainSummary
-from rve.common import check_out_job, checked, csv_text, job, require, write_text
+from rve.common import check_out_job, checked, csv_text, digits, job, require, write_text
 from rve.common.optional import Axes, DataFrame
 
 RECORD = "summary.json"
@@ -113,6 +113,12 @@ class Solution(ABC):
         return DataFrame(rows, columns=list(columns))
 
     def __str__(self) -> str:
-        return f"Solution: {self.status}, mean height {self.summary.mean_height_mm:.3f} mm"
+        words = [f"Solution: {self.status}", f"mean height {self.summary.mean_height_mm:.3f} mm"]
+        if (holds := self.summary.get("holds")) is not None:
+            factor = self.summary.get("governing_factor", self.summary.get("smallest_factor"))
+            most = "at most " if self.summary.get("utilisation_too_low") else ""
+            words.append("holds" if holds else "does not hold")
+            words += [] if factor is None else [f"factor {most}{digits(factor)}"]
+        return ", ".join(words)
 
     __repr__ = __str__

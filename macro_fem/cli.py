@@ -81,7 +81,7 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
     """
     from macro_fem.demand import demand_options
     from macro_fem.job import run_scene
-    from macro_fem.output.told import curtain_lines, default_law_lines, motion_lines
+    from macro_fem.output.sentences import curtain_lines, default_law_lines, motion_lines
     from macro_fem.scene.reading import load_scene
 
     files = {name: more.pop(name) for name in ("picture", "animation", "html", "report", "dxf")}
@@ -202,7 +202,7 @@ def deck(scene: Path, law_path: Path | None, out: Path, runs: bool) -> None:
     converged; 2: bad input.
     """
     from macro_fem.deck import deck_lines, run_deck
-    from macro_fem.output.told import default_law_lines
+    from macro_fem.output.sentences import default_law_lines
 
     say(*default_law_lines(law_path))
     summary = run_deck(scene, law_path, out, runs=runs)
@@ -332,7 +332,7 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animatio
     from homogenize import default_law, load_law
     from macro_fem.job import run_rings
     from macro_fem.motion.files import run_motion
-    from macro_fem.output.told import default_law_lines, every_ring_lines, motion_lines
+    from macro_fem.output.sentences import default_law_lines, every_ring_lines, motion_lines
     from macro_fem.rings.cost import ring_cost
     from macro_fem.scene.reading import load_scene
 
@@ -366,7 +366,7 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: Any, out: Pa
     """
     from homogenize import load_law
     from macro_fem.job import compare as solve_both
-    from macro_fem.output.told import default_law_lines
+    from macro_fem.output.sentences import default_law_lines
     from macro_fem.scene.reading import load_scene
 
     if out is not None:
@@ -397,7 +397,7 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: Any, out: Pa
 )
 def localize(curtain: Path, out: Path, window: str | None, max_rings: int, **files: Any) -> None:
     """Every ring of CURTAIN, the folder of a run: rings.vtu, rings.png, worst_cell.csv, localize.json."""
-    from macro_fem.output.told import ring_field_lines
+    from macro_fem.output.sentences import ring_field_lines
     from macro_fem.rings.localize import run_localize
 
     ends: Any = None if window is None else numbers_of(window, "--window", "x0,y0,x1,y1")

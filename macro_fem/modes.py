@@ -33,8 +33,8 @@ from macro_fem.motion_summary import ModesSummary
 from macro_fem.output import plans
 from macro_fem.output.images import save_picture
 from macro_fem.output.pictures import Drawings, Pictures, draw_all
+from macro_fem.output.sentences import loads_in_words
 from macro_fem.output.space_view import add_supports
-from macro_fem.output.told import loads_in_words
 from macro_fem.scene.supports import build_supports
 from macro_fem.scene.tables import Bar, Wind
 from rve.common import Array, InputError, NotConverged, job, versions

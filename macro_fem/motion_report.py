@@ -7,7 +7,7 @@ from macro_fem.motion_summary import ModesSummary, MotionSummary
 from macro_fem.output import plans
 from macro_fem.output.images import Draw
 from macro_fem.output.report_pages import HIGH, PAGE, Chapter, Headline, PageTable, Picture, write_pages
-from macro_fem.output.told import loads_in_words, motion_verdict
+from macro_fem.output.sentences import loads_in_words, motion_verdict
 from macro_fem.report import LIMITS, NOISE, components_of, places_of
 from macro_fem.scene.scene import Scene
 from macro_fem.scene.tables import in_3d

@@ -11,7 +11,7 @@ from macro_fem.curtain import CurtainSolution
 from macro_fem.judged import asked_of_rings, first_of_largest, links
 from macro_fem.output import plans
 from macro_fem.output.report_pages import GAP, HIGH, PAGE, Chapter, Headline, PageTable, Picture, write_pages
-from macro_fem.output.told import lean_note, limit_line, loads_in_words
+from macro_fem.output.sentences import lean_note, limit_line, loads_in_words
 from macro_fem.scene.support_kinds import Track
 from macro_fem.scene.tables import Load, in_3d
 from macro_fem.summary import CombinationRow, CurtainSummary, SupportForce

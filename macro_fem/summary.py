@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Any
 
 from rve.common.materials import Material
+from rve.common.typed import did_you_mean
 
 Numbers = Sequence[float]
 Own = dict[str, Any]
@@ -51,7 +52,12 @@ class Record(Table, Mapping[str, Any]):
         return self.to_dict()
 
     def __getitem__(self, key: str) -> Any:
-        return self._written[key]
+        try:
+            return self._written[key]
+        except KeyError:
+            is_field = key in [one.name for one in fields(self)]
+            hint = "is left out here" if is_field else f"is no entry; {did_you_mean(key, self._written)}".rstrip("; ")
+            raise KeyError(f"{key} {hint}") from None
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._written)

@@ -288,6 +288,7 @@ MISTAKES = [
     (PLACES, "return Places(edge='tp')", "(pegs) needs edge = 'tp': the curtain has no such edge"),
     ("per_area", "per_length", "[load.ramp]: Ramp has per_length but no field `edge`"),
     (FORCE, "'down'", "[load.ramp]: force of Ramp = 'down': is no array of numbers"),
+    (FORCE, "X[:, [0, 0, 1]]", "[load.ramp]: Ramp has forces along z: give it a text space_reason, or [solver] space"),
     ("(frozen=True, eq=False, repr=False)", "(frozen=True)", ""),
     ("@dataclass(frozen=True, eq=False, repr=False)", "", "class Tape has no fields of its own: is it a @dataclass"),
     ("@dataclass(frozen=True)\nclass Pegs", "class Pegs", "class Pegs has no fields of its own: is it a @dataclass"),

@@ -209,6 +209,9 @@ REFUSED = [
     (lambda: rve.FiniteMesh.inside(rve.Cell(), "square"), "outline = 'square': expected a list"),
     (lambda: PIECE.solve(PIECE.X, PIECE.X > 9, PIECE.X, options={"starts": 3}), "options = {'starts': 3}: expected"),
     (lambda: cell_of_sides(5.0, 0.5, 11.0), "sides = 11.0: expected a list of 2"),
+    (lambda: rve.solve_table(rve.Cell(), [1, 2, 3]), "loads = [1, 2, 3]: expected a list of 2, got a list of 3"),
+    (lambda: rve.Cell(0.5, 5), "r1/r2 = 0.1000; r1 is the radius of the ring, r2 that of the wire"),
+    (lambda: homogenize.default_law().support(np.ones(3)), "line loads are of the shape (3,), not (n, 3)"),
     (lambda: homogenize.fit([1]), "expected StrainTable or DataFrame, got a list"),
     (lambda: homogenize.fit_table(None), "path = None: expected a text or a path"),
     (lambda: homogenize.FitOptions(kind="Net"), "did you mean net?"),
@@ -334,9 +337,19 @@ def test_the_notebook_of_the_law_shows_both_weaves(executed):
     assert {"4-in-1", "6-in-1"} <= set(table.split())
 
 
+def test_an_entry_that_a_summary_has_not_says_why(answer):
+    with pytest.raises(KeyError, match="safety is no entry; did you mean safety_factor"):
+        answer.summary["safety"]
+    with pytest.raises(KeyError, match="limit_factor is left out here"):
+        answer.summary["limit_factor"]
+    assert answer.summary.get("safety") is None
+
+
 def test_records_show_themselves_in_a_notebook(answer, table):
     assert "converged" in repr(table)
     assert "converged" in repr(answer)
+    judged = macro_fem.solve(macro_fem.Scene(SCENE.curtain, [macro_fem.Corners(gather=0.9)], macro_fem.Mesh(cells=4)))
+    assert re.search(r"converged, mean height [\d.]+ mm, holds, factor [\d.]+$", repr(judged))
     assert "converged" in repr(rve.support(rve.Cell(), [0.5, 0.0, 0.5]))
     law = homogenize.default_law()
     assert repr(law) == str(law)  # 527 lines of arrays in a console

@@ -113,6 +113,7 @@ homogenize fit semicolons.csv --out new.json -> line 2, column E11: '0,753945076
 homogenize fit lower.csv --out new.json -> lower.csv: column E11 is missing; write E11 in place of e11
 homogenize fit commas.csv --out new.json -> column alpha_deg: '0,5' is not a number; has a decimal comma; write 0.5
 homogenize fit utf16.csv --out new.json -> utf16.csv: is not a CSV text file: it is no text in UTF-8; save it in this
+macro_fem run twice.toml --out new -> line 2: [support] stands twice; where there may be several, write [[support]]
 macro_fem run comma.toml --out new -> comma.toml: is not TOML: line 2: has a decimal comma; write 330.5
 macro_fem run semicolon.toml --out new -> line 1: has a semicolon; write commas in lists, and each key on a line of its
 macro_fem run bare.toml --out new -> line 1: write support.kind = "hooks", a text in quotes
@@ -161,6 +162,7 @@ def folder(tmp_path_factory):
     (out / "commas.csv").write_text(table.replace("\n0.0,", '\n"0,5",', 1))
     (out / "utf16.csv").write_text(table, encoding="utf-16")
     (out / "comma.toml").write_text("[curtain]\nwidth = 330,5\n")
+    (out / "twice.toml").write_text("[support]\n[support]\n")
     (out / "semicolon.toml").write_text('curtain.width = 1; curtain.height = 2 # "a; b"\n')
     (out / "bare.toml").write_text("support.kind = hooks\n")
     (out / "capital.toml").write_text("load.bar.straight = True\n")

@@ -2,6 +2,14 @@ from .bounds import SupportBounds as SupportBounds
 from .bounds import bounds_of as bounds_of
 from .bounds import inner_law as inner_law
 from .bounds import outer_law as outer_law
+from .fit_law import FitOptions as FitOptions
+from .fit_law import FitResult as FitResult
+from .fit_law import cell_of as cell_of
+from .fit_law import fit as fit
+from .fit_law import fit_rows as fit_rows
+from .fit_law import fit_table as fit_table
+from .fit_law import stiffness_by_direction as stiffness_by_direction
+from .fit_law import stiffness_of as stiffness_of
 from .interval import LawInterval as LawInterval
 from .interval import interval_of_table as interval_of_table
 from .interval import interval_or_law as interval_or_law
@@ -18,11 +26,3 @@ from .row_tests import Normality as Normality
 from .row_tests import mended as mended
 from .row_tests import normality as normality
 from .row_tests import rows_from_table as rows_from_table
-from .table import FitOptions as FitOptions
-from .table import FitResult as FitResult
-from .table import cell_of as cell_of
-from .table import fit as fit
-from .table import fit_rows as fit_rows
-from .table import fit_table as fit_table
-from .table import stiffness_by_direction as stiffness_by_direction
-from .table import stiffness_of as stiffness_of

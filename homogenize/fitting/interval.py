@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from homogenize.fitting.bounds import inner_law, outer_law
+from homogenize.fitting.fit_law import cell_of, stiffness_of
 from homogenize.fitting.row_tests import rows_from_table
-from homogenize.fitting.table import cell_of, stiffness_of
 from homogenize.io import DEFAULT_LAW, load_law
 from homogenize.laws.geometry import highest
 from homogenize.laws.polyhedral import PolyhedralLaw

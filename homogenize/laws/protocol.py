@@ -21,7 +21,9 @@ ROUNDING = 1e-12
 
 
 def check_finite(values: Array, what: str = "strains") -> None:
-    """InputError that names the first row of `values` (n, 3) that is not three finite numbers."""
+    """InputError for `values` that are no rows, and one that names the first row that is not finite."""
+    if np.ndim(values) != 2:
+        raise InputError(f"{what} are of the shape {np.shape(values)}, not (n, 3): one row of 11, 12, 22 for each")
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(bad):
         raise InputError(f"{what} are finite numbers, row {bad[0]} of {len(values)} is {values[bad[0]].tolist()}")

@@ -118,7 +118,7 @@ def _too_coarse(solution: CurtainState, near: Nearby, known: Strength, mean: Ext
         return None
     spec = solution.problem.scene
     cells = math.ceil(spec.mesh.cells * largest / needed)  # meshes of more cells are as uneven
-    more = ", as in a mesh file" if isinstance(spec.curtain, MeshFile) else f", as with cells = {cells}"
+    more = "; make the mesh file finer there" if isinstance(spec.curtain, MeshFile) else f", as with cells = {cells}"
     return TOO_COARSE.format(nearest(solution, mean.at)[0], digits(side), digits(needed), more)
 
 

@@ -20,7 +20,7 @@ from macro_fem.motion_summary import MotionSummary
 from macro_fem.output.html_page import check_page, write_moments
 from macro_fem.output.images import Draw, in_turn, save_animation, save_panels
 from macro_fem.output.pictures import Drawings, Pictures
-from macro_fem.output.told import motion_verdict
+from macro_fem.output.sentences import motion_verdict
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.scene.scene import Scene
 from rve.common import InputError, check_out_file, checked, digits, write_text

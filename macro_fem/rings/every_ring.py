@@ -14,7 +14,7 @@ from macro_fem.judged import own_forces, support_forces
 from macro_fem.output.files import weave_of
 from macro_fem.output.html_page import write_page
 from macro_fem.output.pictures import Drawings, Pictures
-from macro_fem.output.told import components
+from macro_fem.output.sentences import components
 from macro_fem.ring_summary import EveryRingSummary, RingObstacle
 from macro_fem.rings.ring_scene import RingScene
 from macro_fem.summary import HeldPoint, RingSupport

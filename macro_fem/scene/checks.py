@@ -153,7 +153,7 @@ def check_sizes(scene: Scene, r1: float | None) -> None:
         width, height = scene.curtain.extent(scene.curtain.corners(1)).tolist()
         sizes = [("[curtain] width", width), ("[curtain] height", height)]
     sizes += [(f"{one.where} pitch", one.pitch) for one in scene.of(Hanging) if one.pitch]
-    limits = [(where, value, 2.0 * r1, "diameter") for where, value in sizes]
+    limits = [(where, value, 2.0 * r1, "mean diameter") for where, value in sizes]
     limits += [(f"{one.where} width", 2.0 * one.breadth, r1, "radius") for one in scene.of(Body)]
     limits += [(f"{one.where} radius", one.radius, r1, "radius") for one in scene.of(PatchLoad)]
     limits += [(f"{one.where} radius", one.radius, r1, "radius") for one in scene.of(Track) if one.radius]

@@ -127,7 +127,8 @@ def _as_forces(given: Array, X: Array, load: Load, scene: Scene) -> Array:
     if given.shape not in ((len(X), 2), (len(X), 3)) or not np.isfinite(given).all():
         scene.refuse(f"{load.where}: {type(load).__name__} gives {given.shape}, not finite forces (n, 2) or (n, 3)")
     if given.shape[1] > scene.d and given[:, 2].any():
-        scene.refuse(f"{load.where}: leaves the plane; say why by its space_reason")
+        name = type(load).__name__
+        scene.refuse(f"{load.where}: {name} has forces along z: give it a text space_reason, or [solver] space = true")
     return np.asarray(padded(given[:, : scene.d], scene.d))
 
 

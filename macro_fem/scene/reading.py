@@ -15,7 +15,7 @@ from macro_fem.scene.tables import Combination, Item, Load, Loading, Project, So
 from rve.common import InputError, JsonObject, Typed, read_as, read_toml, read_typed, refuse_unknown, shown, types_of
 from rve.common.materials import described
 from rve.common.plugins import load_installed
-from rve.common.typed import not_one_of
+from rve.common.typed import did_you_mean, not_one_of
 
 PARTS: dict[str, type[Typed]] = {
     "mesh": Mesh,
@@ -48,6 +48,9 @@ def read_scene(data: JsonObject, source: str | Path = "scene") -> Scene:
     for name in data if isinstance(data, dict) else ():
         if name not in tables and _home(name):
             raise InputError(f"{source}: {shown(name)}: unknown table; {_home(name)}")
+        if name not in tables and not isinstance(data[name], dict | list):
+            known = f"{did_you_mean(name, tables)}known are {', '.join(tables)}"
+            raise InputError(f"{source}: {name!s:.80} = {shown(data[name])}: stands in no table; {known}")
     refuse_unknown(data, tables, f"{source}:", "table")
     loads = data.get("load")
     for entry in loads if isinstance(loads, list) else [loads]:
@@ -59,7 +62,8 @@ def read_scene(data: JsonObject, source: str | Path = "scene") -> Scene:
         if not isinstance(data.get(name, {}), dict):
             raise InputError(f"{source}: [{name}] is not one table")
     if "curtain" not in data:
-        raise InputError(f"{source}: [curtain]: is missing")
+        least = "" if data else "; a scene has at least [curtain] and [support]"
+        raise InputError(f"{source}: [curtain]: is missing{least}")
     load = data.get("load", {})
     refuse_unknown(load, ("gravity", "steps", *Load.kinds), f"{source}: [load]", hint=PLUGIN)
     items = []

@@ -61,6 +61,8 @@ def _check(name: str, given: Mapping[str, Any], kinds: Mapping[str, Any]) -> Non
             is_plain = isinstance(value, str | Real | list | tuple | dict | None)
             told = f"{name}: {key} = {shown(value)}" if is_plain else f"{name}: {key}"
             got = f"the class {value.__name__}" if isinstance(value, type) else _word(type(value))
+            if isinstance(value, list | tuple) and wanted[0].startswith("a list of "):
+                got += f" of {len(value)}"
             hint = f"; {MADE_BY[wanted[0]]}" if wanted[0] in MADE_BY else ""
             raise InputError(f"{told}: expected {' or '.join(wanted)}, got {got}{hint}")
 

@@ -58,7 +58,8 @@ def _staging(folder: Path, name: str, *, makes: bool = False) -> Iterator[Path]:
                 folder.mkdir(parents=True, exist_ok=True)
             staged.mkdir(mode=0o700)
         except OSError as error:
-            raise InputError(f"{name}: cannot be written: {error.strerror}") from error
+            said = "is a file, give a folder" if makes and folder.is_file() else f"cannot be written: {error.strerror}"
+            raise InputError(f"{name}: {said}") from error
         yield staged
     finally:  # also of a process that is stopped while it makes the folder
         shutil.rmtree(staged, ignore_errors=True)

@@ -109,6 +109,8 @@ def radii_in(text: str, option: str) -> tuple[float, float]:
     ((5.0, 0.5), (4.8, 0.8))
     """
     if "=" not in text:
+        if text.count(",") != 1:
+            raise InputError(f"{option} = {shown(text)}: give R1,R2 in mm, or two sizes by name, inner=8,wire=1.6")
         r1, r2 = numbers_of(text, option, "R1,R2")
         return r1, r2
     parts = [part.partition("=") for part in text.split(",")]

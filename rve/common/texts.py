@@ -155,6 +155,8 @@ def _toml_hint(content: bytes, said: str) -> str:
     hint = alone(value)
     if ";" in line:
         hint = "has a semicolon; write commas in lists, and each key on a line of its own"
+    elif re.fullmatch(r"\[[\w.-]+\]", line) and "twice" in said:
+        hint = f"{line:.80} stands twice; where there may be several, write [{line:.80}]"
     elif not sign and re.match(r"[\w.-]+\s*:", line):
         hint = "write = between a key and its value"
     elif value.strip().lower() in ("true", "false"):

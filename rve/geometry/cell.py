@@ -95,9 +95,10 @@ class Cell(Typed):
         """InputError where the wire is too thick."""
         limit = self.weave.jamming_ratio
         if not self.r1 / self.r2 > limit:
+            hint = "; r1 is the radius of the ring, r2 that of the wire" if self.r1 < self.r2 else ""
             self.refuse(
                 f"r2 = {self.r2:g}: too thick for the {self.weave.name} weave, which jams at r1/r2 = {limit:.4f} "
-                f"(AR {limit - 1.0:.3f}); here r1/r2 = {self.r1 / self.r2:.4f}"
+                f"(AR {limit - 1.0:.3f}); here r1/r2 = {self.r1 / self.r2:.4f}{hint}"
             )
 
     @property

@@ -173,7 +173,11 @@ def test_rings_of_a_table_that_does_not_tell_them(frame: pd.DataFrame, tmp_path:
     run("homogenize", *words, "--cell", "5,0.5,4-in-1", "--areal-mass", "3")
     cell = homogenize.load_law(tmp_path / "law.json").cell
     assert (cell and cell.areal_mass_kg_per_m2) == 3.0
+    run("homogenize", *words, "--cell", "inner=9,wire=1")
+    again = homogenize.load_law(tmp_path / "law.json").cell
+    assert (again and again.areal_mass_kg_per_m2) == pytest.approx(2.784781677, rel=1e-6)
     for option, sentence in (
+        (["--cell", "5"], "--cell = '5': give R1,R2 in mm, or two sizes by name"),
         (["--cell", "5,0.5,knit"], "weave = 'knit': is not one of 4-in-1, 6-in-1"),
         (["--areal-mass", "-1"], "--areal-mass = -1"),
         (["--kind", "net"], "is the law of 4-in-1 rings that are known"),

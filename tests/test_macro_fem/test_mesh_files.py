@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from homogenize import diagonal_net
-from macro_fem import read_scene
+from homogenize import default_law, diagonal_net
+from macro_fem import read_scene, solve
 from macro_fem.cli import main
 from macro_fem.fem import signed_areas
 from rve import InputError
@@ -310,3 +310,11 @@ def test_far_from_the_origin_the_answer_is_the_same(tmp_path, outline):
         steps.append(curtain.iterations)
     assert heights[1] == pytest.approx(heights[0], abs=6e-7)
     assert steps[1] <= steps[0] + 2
+
+
+def test_a_mesh_in_metres_is_refused_with_the_way_out(tmp_path):
+    write_square(tmp_path / "mesh.vtu")
+    tables = {"curtain": {"shape": "file", "file": "mesh.vtu"}, "support": {"kind": "top"}}
+    said = "of 3 and 3 mm are less than the mean diameter of a ring, 10 mm; were metres meant? Scale the mesh by 1000"
+    with pytest.raises(InputError, match=re.escape(said)):
+        solve(read_scene(tables, tmp_path / "scene.toml"), default_law())

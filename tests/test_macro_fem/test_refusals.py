@@ -63,10 +63,12 @@ obstacle = [{kind = "wall", facing = [0, 1], name = "a"}, {kind = "floor", name 
 motion.duration = 1.0; body = [{name = "b", kind = "sphere", radius = 9, mass = 1, at = [0, 0, 99]},
   {name = "b", kind = "sphere", radius = 9, mass = 1, at = [0, 0, 150]}] -> [[body]] name = 'b': is that of two
 motion.duration = 1.0; body = {kind = "sphere", radius = 0.05, mass = 1, at = [0, 5, 99]} -> were 0.05 m meant?
-motion.duration = 1.0; curtain.width = 3.0 -> width = 3: is less than the diameter of a ring, 10 mm
+motion.duration = 1.0; curtain.width = 3.0 -> width = 3: is less than the mean diameter of a ring, 10 mm
 motion.duration = "2 min" -> duration = '2 min': expected a number, got a text; write the number alone, in s: 120
 curtain.weave_angel = "y" -> did you mean weave_angle?
 solvr = {} -> solvr: unknown table
+width = 400 -> width = 400: stands in no table; known are curtain, support
+mehs = 8 -> mehs = 8: stands in no table; did you mean mesh?
 support = {kind = "top", gather = 1.9} -> farther apart
 support = {kind = "hooks", pitch = 500.0} -> pitch = 500
 support = {kind = "hooks", pitch = 50.0, capacity = true} -> capacity = True
@@ -119,8 +121,8 @@ start = {origin = [0, 0, 0]} -> [start]: has no effect without bodies
 material.poisson = 0.4 -> poisson = 0.4: is that of the law's table, 0.3
 material.colour = 1 -> colour = 1: unknown key; known are material, density
 material = {yield = 400.0, ultimate = 300.0} -> [material] ultimate = 300: is less than the yield stress, 400
-curtain.width = 3.0 -> width = 3: is less than the diameter of a ring, 10 mm; lengths are in mm, did you mean 3000?
-curtain = {shape = "disk", radius = 1.2} -> width = 2.4: is less than the diameter of a ring, 10 mm
+curtain.width = 3.0 -> width = 3: is less than the mean diameter of a ring, 10 mm; lengths are in mm, did you mean 3000?
+curtain = {shape = "disk", radius = 1.2} -> width = 2.4: is less than the mean diameter of a ring, 10 mm
 support = {kind = "hooks", pitch = 0.2} -> (hooks) pitch = 0.2
 obstacle = {kind = "sphere", centre = [0, 0, 50], radius = 0.05} -> less than the radius of a ring, 5 mm
 support = [{kind = "top"}, {kind = "edge", edge = "bottom", move = [0, 2]}];

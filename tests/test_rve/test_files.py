@@ -91,8 +91,11 @@ def test_outputs_that_are_no_files_are_refused(tmp_path):
     ):
         with pytest.raises(InputError, match=words):
             check_out_file(path)
-    for path, words in ((tmp_path / "file", "File exists"), (tmp_path / "file" / "below", "Not a directory")):
-        with pytest.raises(InputError, match=f"--out = {path}: cannot be written: {words}"):
+    for path, words in (
+        (tmp_path / "file", "is a file, give a folder"),
+        (tmp_path / "file" / "below", "cannot be written: Not a directory"),
+    ):
+        with pytest.raises(InputError, match=f"--out = {path}: {words}"):
             check_out_job(path, "summary.json")
     assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
 

@@ -109,6 +109,7 @@ def test_the_cell_of_a_curtain_takes_names():
         ("inner=8,wier=1.6", "--cell wier: unknown size; did you mean wire?"),
         ("inner=8,wire=x", "--cell: wire = 'x': give finite numbers"),
         ("inner=8", "--cell: inner = 8: makes no ring yet"),
+        ("5", "--cell = '5': give R1,R2 in mm, or two sizes by name, inner=8,wire=1.6"),
     ):
         with pytest.raises(InputError, match=re.escape(said)):
             demand_options(text)

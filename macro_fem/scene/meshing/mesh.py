@@ -180,8 +180,9 @@ def divide(scene: Scene, cell: CellInfo | None) -> DividedSheet:
         width, height = np.ptp(mesh.p, axis=1).tolist()
         if cell is not None and min(width, height) < 2.0 * cell.r1_mm:
             scene.refuse(
-                f"[curtain] file = {curtain.file!r}: its extents of {width:g} and {height:g} mm are less than a ring, "
-                f"{2.0 * cell.r1_mm:g} mm; were metres meant? Scale the mesh by 1000"
+                f"[curtain] file = {curtain.file!r}: its extents of {width:g} and {height:g} mm are less than the "
+                f"mean diameter of a ring, {2.0 * cell.r1_mm:g} mm; were metres meant? Scale the mesh by 1000 (Gmsh: "
+                "Mesh.ScalingFactor = 1000)"
             )
         return DividedSheet(border, lambda: (mesh, np.arange(mesh.p.shape[1])), "file", notes)
     aspect = 1.0 if cell is None else cell.b_y_mm / cell.b_x_mm  # slope of the diagonal families

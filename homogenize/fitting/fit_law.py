@@ -1,4 +1,4 @@
-"""From a table file to a law with its error report: test the rows, build the law, measure it, write it.
+"""The fit: from a table to a law with its error report. Test the rows, build the law, measure it, write it.
 
 Rings that give make the locked strain depend on the size of the load, E = dh/dS + A S. The compliance D = dE/dS of a
 row holds both: the bend of the locking surface, none along S because h is homogeneous of degree one, and A. So S:D S =
