@@ -8,7 +8,7 @@ from pathlib import Path
 from benchmarks.measure import ROOT
 
 PACKAGES = ("rve", "homogenize", "macro_fem")
-SHOWN = {"cli", "commands", "drawing", "drawn", "output", "plots", "progress", "report", "told"}
+SHOWN = {"cli", "commands", "drawing", "drawn", "output", "plots", "progress", "report", "sentences"}
 """Rooms and modules that show answers and change none."""
 
 

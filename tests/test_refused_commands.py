@@ -83,7 +83,7 @@ homogenize support nowhere.json --S 1,0,0 -> nowhere.json: cannot be read
 homogenize strength law.json --S 1,2,1 -> not tensile
 homogenize strength law.json --S 1,nan,1 -> give finite numbers S11,S12,S22
 homogenize strength law.json --S 1e308,0,1e308 -> at most 1e+100
-homogenize strength law.json --S 1,0,1 --yield -4 -> --yield = -4.0: expected a number > 0
+homogenize strength law.json --S 1,0,1 --yield -4 -> --yield = -4.0: expected a number >= 0.001
 homogenize strength cloth.json --S 1,0,1 -> strength
 homogenize fit table.csv --out new.json --kind spline -> 'spline' is not one of
 homogenize fit table.csv --out nowhere/law.json -> nowhere
