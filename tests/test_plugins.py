@@ -153,6 +153,7 @@ def test_where_an_own_law_leaves_the_strength_open_every_verdict_says_so(folder:
     assert "still: holds, factor of at most" in compared.output
 
 
+@pytest.mark.slow
 def test_an_own_load_is_integrated_and_scaled(folder: Path) -> None:
     """p at the hem that fades to 0 at half the height: p b h / 4, times the factor of a combination."""
     data: dict[str, Any] = {

@@ -225,7 +225,11 @@ def test_what_was_read_has_changed_and_is_run_again(tmp_path, shape, name):
 
 @pytest.mark.parametrize(
     ("jobs", "number", "code"),
-    [(1, signal.SIGINT, 130), (1, signal.SIGHUP, 129), pytest.param(2, signal.SIGTERM, 143, marks=pytest.mark.slow)],
+    [
+        (1, signal.SIGINT, 130),
+        pytest.param(1, signal.SIGHUP, 129, marks=pytest.mark.slow),
+        pytest.param(2, signal.SIGTERM, 143, marks=pytest.mark.slow),
+    ],
 )
 def test_a_stopped_sweep_ends_and_keeps_what_is_finished(tmp_path, number, code, jobs):
     words = ["sweep", "--out", tmp_path, "--r1", "5,6,7,8", "--r2", "0.5,0.6,0.7,0.8,0.9,1", "--jobs", jobs, "--quiet"]

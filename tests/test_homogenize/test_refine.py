@@ -30,6 +30,7 @@ def test_the_rim_is_closely_sampled_and_right_to_fourth_order(ellipsoid):
     assert error[1] < 2e-6
 
 
+@pytest.mark.slow
 def test_refined_rows_predict_to_fourth_order(ellipsoid):
     """Half the distance of the rows, a sixteenth of the error; the outer bound only falls to a quarter."""
     error, outer = [], []

@@ -92,6 +92,7 @@ def test_a_plane_curtain_in_space_has_the_bounds_of_the_plane(ring_like, scene_t
     assert deep.error == pytest.approx(plane.error, abs=2e-5 * scale)
 
 
+@pytest.mark.slow
 def test_refinement_in_space_closes_the_interval(ring_like, scene_tables):
     exact = 90.0 + catenary_mean(100.0, 60.0, 10.0)
     found = solve_membrane(hammock(scene_tables, [0.0, 90.0, 60.0], 4, adapt=1), ring_like).levels

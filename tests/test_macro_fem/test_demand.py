@@ -273,6 +273,7 @@ def test_damaged_and_foreign_tables_are_made_anew(tmp_path, spoil):
     assert Rings(who).solves == 0
 
 
+@pytest.mark.slow
 def test_the_strength_is_that_of_a_table(tables):
     found, law = Rings(OnDemand(Cell(), cache=tables)).strength, default_law().strength
     S = KNOWN.rows.S
@@ -281,6 +282,7 @@ def test_the_strength_is_that_of_a_table(tables):
         np.testing.assert_allclose(one, other, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_summary_tells_interval_parts_and_questions(tables):
     result = solve(square(), OnDemand(Cell(), 0.05, cache=tables))
     summary = result.summary
@@ -307,6 +309,7 @@ def test_other_loads_than_the_weight_give_an_interval_of_the_potential(tables):
     assert result.steps[0].status == "converged"
 
 
+@pytest.mark.slow
 def test_bounds_by_a_law_alone_say_so():
     scene = square(cells=3, solver={"bounds": True})
     alone, rings = solve(scene, default_law()).summary, solve(scene).summary

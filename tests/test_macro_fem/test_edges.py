@@ -140,6 +140,7 @@ def test_a_drop_has_a_top_and_a_bottom_whichever_way_its_tip_points(power):
         sides(np.round(1e5 * turned(drop, degrees)))
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(
     radii=st.lists(st.floats(0.05, 1.0), min_size=5, max_size=40),

@@ -67,6 +67,7 @@ def test_hooks_bear_what_elastic_rings_say_and_the_shape_stays_rigid():
     assert auto.summary["status"] == "converged"
 
 
+@pytest.mark.slow
 def test_elastic_rings_do_not_begin_with_half_spaces_that_do_not_widen():
     # Of rings that give by direction each half-space widens by its own part; those of a rigid answer do not know it.
     rigid, elastic = (solve_scene(scene(HOOKS, kind, load=BAR), default_law()) for kind in ("rigid", "elastic"))

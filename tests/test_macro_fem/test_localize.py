@@ -109,6 +109,7 @@ def test_a_mesh_drawn_together_hangs_in_folds(states):
     is_admissible(found, CELL)
 
 
+@pytest.mark.slow
 def test_the_mirror_image_of_a_strain_has_the_mirror_image_of_the_rings(states, table):
     _, E, _, _ = table
     found, image = (nearest_poses(E * [1.0, sign, 1.0], CELL, states) for sign in (1.0, -1.0))

@@ -165,7 +165,8 @@ def test_twins_of_a_motion_agree(kind, count, tmp_path):
         assert np.abs(energies - same_energies).max() < 3e-3 * np.abs(energies).max(), seed
 
 
-@pytest.mark.parametrize("seed", [1003, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1023, 1028))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1003, 1023, 1028])
 def test_the_account_closes_where_tangents_of_a_ball_still_turn(seed):
     tables = draw(seed)
     tables["motion"] |= {"duration": 0.1}

@@ -148,6 +148,7 @@ def test_falls_with_damping_and_in_still_air_are_of_second_order(motion, wind):
         assert coarse > 11.0 * fine
 
 
+@pytest.mark.slow
 def test_stiff_drag_takes_a_light_sheet_along_and_wind_of_no_speed_does_nothing():
     """Also in steps far longer than the sheet needs to go with the wind."""
     light, wind = SHEET["curtain"] | {"areal_mass": 1e-3}, {"speed": 30.0, "direction": [0.0, 0.6, 0.8]}

@@ -83,6 +83,7 @@ def test_what_rigid_rings_do_not_tell_of_a_blow_is_said(struck):
     assert told.safety_factor == answer.safety_factor == pytest.approx(told.smallest_factor)
 
 
+@pytest.mark.slow
 def test_a_load_that_no_ring_bears_does_not_hold_and_a_law_without_rings_does_not_know():
     weak = STRUCK | {"material": {"yield": 1e-3}, "motion": {"duration": 0.01, "step": 0.005}}
     assert moved(read_scene(weak))[1].holds is False
@@ -140,6 +141,7 @@ def test_a_motion_is_saved_as_the_command_saves_it(struck, tmp_path):
         answer.rings()
 
 
+@pytest.mark.slow
 def test_every_ring_in_motion_is_an_answer_too(tmp_path):
     cell = default_law().cell
     assert cell is not None

@@ -54,6 +54,7 @@ def test_the_order_sheet_weighs_what_its_rings_weigh():
     assert 0.0 in macro_fem.Disk(60.0).corners(6)  # sentences told a place at x = 4e-15
 
 
+@pytest.mark.slow
 def test_factors_scale_forces_of_a_shape_that_stays():
     """All loads of a rigid curtain by one factor: the same shape, forces and use in proportion."""
     factors = (Combination("all", weight=1.5, bar=1.5), Combination("light", bar=0.5))

@@ -271,10 +271,11 @@ def test_a_patch_acts_where_it_is_asked_for(radius, off):
     ("keys", "count", "asked"),
     [
         ("pitch = 129", 24, 129.0),
-        pytest.param("count = 24", 24, None, marks=pytest.mark.slow),
-        pytest.param("pitch = 125", 25, 125.0, marks=pytest.mark.slow),
+        ("count = 24", 24, None),
+        ("pitch = 125", 25, 125.0),
     ],
 )
+@pytest.mark.slow
 def test_the_pitch_that_fits_is_told(tmp_path, keys, count, asked):
     """A pitch of 129 mm does not divide 3000 mm: 23 spaces of 130.4 mm."""
     (tmp_path / "scene.toml").write_text(

@@ -250,7 +250,8 @@ def test_the_memory_that_is_told_is_what_rings_take():
     assert 0.9 < float(done.stdout) < 3.0
 
 
-@pytest.mark.parametrize("space", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("space", [False, True])
 def test_a_wall_that_pushes_rings_along_their_rail_is_refused(space):
     """On a rail one ring is held along it, so that the mesh stays somewhere; it must not carry anything."""
     hung = ring_scene(scene(support={"kind": "rail"}))
@@ -263,7 +264,8 @@ def test_a_wall_that_pushes_rings_along_their_rail_is_refused(space):
         ring_scene(scene(support={"kind": "rail"}, obstacle=[wall])).solve(space=space)
 
 
-@pytest.mark.parametrize("space", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("space", [False, True])
 def test_rings_of_a_straight_bar_stay_on_a_line(space):
     """In proportion to the reference, as in the disk; what carries the load is that of a loose bar, the potential no
     lower."""

@@ -96,6 +96,7 @@ def test_a_net_breaks_at_the_band_of_its_strings():
     assert broken.plastic_work_N_mm == pytest.approx(summary.energy_until_rupture_N_mm[0], rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_limit_of_a_net_of_one_cell_that_is_pushed_across_is_found():
     """Its dual vectors begin without tails, and a step that left their cones was taken for one that never does."""
     limit = curtain_limit(posed(net(3500.0, 1)))

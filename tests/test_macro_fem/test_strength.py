@@ -88,6 +88,7 @@ def corner_hung(side, cells):
     return solve_scene(read_scene(sheet(side, side, cells, MESH_ALONE)), default_law())
 
 
+@pytest.mark.slow
 def test_the_average_over_a_cell_converges_at_a_hook_where_the_pointwise_value_grows():
     coarse, fine = (judge_strength(corner_hung(40.0, cells)) for cells in (6, 12))
     assert fine.utilisation_pointwise_max > 1.5 * coarse.utilisation_pointwise_max
@@ -179,6 +180,7 @@ def test_a_mesh_too_coarse_at_a_notch_or_hole_says_which_one_tells_within_a_tent
     assert f"rings {right['weakest_place']} would yield first" in holds_line(right)
 
 
+@pytest.mark.slow
 def test_a_place_is_named_by_what_is_nearest_and_how_far_it_is():
     """Closed distances to hole, edges, hooks, loads, and to an obstacle where the curtain lies on it."""
     hole = [[40, 30], [60, 30], [60, 50], [40, 50]]
@@ -204,6 +206,7 @@ def test_a_place_is_named_by_what_is_nearest_and_how_far_it_is():
     assert nearest(solution, np.array([40.0, 0.0])) == ("edge bottom", 0.0)
 
 
+@pytest.mark.slow
 def test_rings_at_hooks_are_in_the_picture_of_utilisation():
     """Circles at the hooks in the colours of the same scale, which reaches the largest of them."""
     answer = solve(
@@ -311,6 +314,7 @@ def two_hooks(law=None, **support):
     return summarize(hung(law, kind="hooks", pitch=WIDTH, sliding=True, **support))
 
 
+@pytest.mark.slow
 def test_hooks_are_compared_with_their_capacity():
     half = 0.5 * MASS * GRAVITY
     for share, words in ((0.9, "does not hold, factor 0.9; hooks of support 1"), (0.5, "does not hold, factor 0.5; ")):

@@ -47,6 +47,7 @@ def wave(panels=2, flat=1.0):
     return plotter
 
 
+@pytest.mark.slow
 def test_a_picture_is_made_and_is_not_empty(tmp_path):
     from PIL import Image
 
@@ -95,6 +96,7 @@ def test_a_mesh_is_looked_at_from_its_front():
     np.testing.assert_allclose([right, up, front], [[0, 0, -1], [0, 1, 0], [1, 0, 0]], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_missing_library_of_opengl_is_told_in_one_sentence():
     """VTK tries X, EGL and OSMesa in turn, and would end the interpreter without the last one."""
     code = "import rve.common.drawing.space as space; space.find_library = lambda name: 'libnothing.so'\n"

@@ -22,6 +22,7 @@ def normality(table, is_mirrored):
     return (double_dot(S, E)[:, None] - (S * WEIGHT) @ both.T).min()
 
 
+@pytest.mark.slow
 def test_where_one_state_is_known_nothing_changes():
     first, best = (solve_table(Cell(5.0, 1.0), grid(22.5), options) for options in (FIRST, DirectOptions()))
     np.testing.assert_array_equal(best.E, first.E)

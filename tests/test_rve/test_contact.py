@@ -44,6 +44,7 @@ def brute_minima(d, n_a, n_b, count=20000):
     return np.sort(f[(f <= np.roll(f, 1)) & (f < np.roll(f, -1))])
 
 
+@pytest.mark.slow
 def test_every_close_minimum_is_found():
     rng = np.random.default_rng(1)
     d, n_a, n_b = random_pairs(rng, 400)

@@ -16,7 +16,7 @@ TEN = Equations.of(FOUR_IN_ONE, 0.1)
 @pytest.mark.parametrize(
     ("ratio", "alpha", "beta"),
     [
-        (30.0, 43.0, 0.01),
+        pytest.param(30.0, 43.0, 0.01, marks=pytest.mark.slow),
         pytest.param(100.0, 1.8965, 77.318, marks=pytest.mark.release),
     ],
 )

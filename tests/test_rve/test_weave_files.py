@@ -116,7 +116,7 @@ def doubled(rng, disturb):
 @pytest.mark.parametrize(
     ("seed", "disturb"),
     [
-        (0, 0.0),
+        pytest.param(0, 0.0, marks=pytest.mark.slow),
         pytest.param(5, 0.3, marks=pytest.mark.slow),
         *(pytest.param(seed, 0.3, marks=pytest.mark.release) for seed in range(1, 5)),
     ],
