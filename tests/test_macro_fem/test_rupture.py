@@ -139,7 +139,7 @@ def test_supports_may_be_as_far_apart_as_strings_reach():
         solve(read_scene(tables), LAW)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_the_energy_under_a_push_grows_with_the_mesh_to_a_limit():
     """On 38 to 480 triangles, of which the finest stalled where forces were balanced long after the gap closed."""
     answers = [solve(read_scene(net(4000.0, cells, radius=200.0)), LAW) for cells in (3, 6, 12)]

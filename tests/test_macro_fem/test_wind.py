@@ -205,7 +205,7 @@ def test_a_strip_in_wind_that_follows_comes_to_rest_at_a_closed_form(speed):
     assert wind_drags(solution)[0].front_area_m2 == pytest.approx(0.4 * size * np.cos(t), rel=0.02 * t)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_drawn_track_in_wind_that_follows_comes_to_rest():
     """3000 x 2300 mm on a track of radius 1500 mm at fullness 1.5; supports carry the drag along the wind."""
     track = {"kind": "track", "radius": 1500.0, "fullness": 1.5}
