@@ -68,16 +68,8 @@ def test_the_wheel_alone_makes_table_law_and_curtain(dist, tmp_path):
     assert PROJECT["version"] in run("rve", "--version")
     run("rve", "table", "--out", "table.csv", "--alpha", "0:45:15", "--beta", "0:90:15")
     run("homogenize", "fit", "table.csv", "--out", "law.json")
-    run(
-        "macro_fem",
-        "run",
-        ROOT / "examples" / "corner_hung.toml",
-        "--law",
-        "law.json",
-        "--out",
-        "curtain",
-        "--no-picture",
-    )
+    scene = ROOT / "examples" / "corner_hung.toml"
+    run("macro_fem", "run", scene, "--law", "law.json", "--out", "curtain", "--no-picture")
     assert (tmp_path / "curtain" / "summary.json").exists()
 
 

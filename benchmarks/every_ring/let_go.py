@@ -1,4 +1,4 @@
-"""Every ring in motion against the disk in motion and MuJoCo: a sheet let go at one corner, and a gust on a sheet."""
+"""Every ring in motion against the disk in motion: a sheet let go at one corner, and a gust on a sheet."""
 
 import time
 from functools import cache
