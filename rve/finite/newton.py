@@ -26,9 +26,9 @@ from rve.finite.contacts import (
     links_intact,
     safe_fractions,
     track_gaps,
-    wall_derivatives,
 )
 from rve.finite.problem import BLOCK, Iterate, ScaledProblem
+from rve.finite.walls import wall_derivatives
 from rve.finite.wide import NO_WIDE
 from rve.geometry.contacts import distance_gradient, distance_hessian
 from rve.geometry.ring_pair import Minima, tangent_frame

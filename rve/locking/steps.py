@@ -34,6 +34,7 @@ def carry_forces(old: CellContacts, lam: Array, new: CellContacts, mu: Array) ->
     return np.where(new.present, np.maximum(out, 1e-16), 0.0)
 
 
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")  # a gap may round to zero: that case takes no step
 def newton_direction(
     system: System, gap: Array, lam: Array, mu: Array, present: Flags, step: Array
 ) -> tuple[Array, Array]:
@@ -101,6 +102,7 @@ class Valley:
     count: int
 
     @staticmethod
+    @np.errstate(divide="ignore", invalid="ignore", over="ignore")
     def of(system: System, contacts: CellContacts, gap: Array, lam: Array, count: int) -> Valley:
         """The valley of these poses."""
         K, ratio = _barrier_stiffness(system, gap, lam, contacts.present.reshape(gap.shape))

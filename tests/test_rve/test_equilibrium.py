@@ -22,7 +22,7 @@ from rve.geometry import (
 )
 from rve.locking import Equations, solve_equilibrium
 from rve.locking.limits import contact_forces, polish
-from rve.locking.steps import accept_step
+from rve.locking.steps import accept_step, newton_direction
 from rve.solve import locked_block, reference_sides
 
 OPTIONS = DirectOptions()
@@ -236,6 +236,24 @@ def test_a_step_of_the_solver_stops_before_rings_pass_through_each_other():
     assert pose.normals[0, 0, 0] > 0.0
     short, _ = accept_step(before, contacts, 0.1 * dq, np.zeros(1), equations, None)
     np.testing.assert_allclose(short.normals, moved(before, 0.1 * dq).normals, atol=1e-15)
+
+
+def test_a_gap_that_rounds_to_zero_gives_no_step_and_no_warning():
+    """Of two equal cases the one with such a gap stays where it is; the other one's step is as if it were alone."""
+    equations, pose = Equations.of(FOUR_IN_ONE, 0.1), start_pose(FOUR_IN_ONE, 2)
+    contacts = equations.contacts(pose)
+    present = contacts.present.reshape(2, -1)
+    gap = np.where(present, contacts.gap.reshape(2, -1), 1.0)
+    lam = np.where(present, 1e-3 / gap, 0.0)
+    s = np.repeat(cauchy_line_load(10.0, 30.0)[None], 2, axis=0)
+    system = equations.assemble(pose, contacts, lam.reshape(contacts.gap.shape), s)
+    state = system, lam, np.full(2, 1e-3), present, np.ones(2)
+    expected, _ = newton_direction(state[0], gap, *state[1:])
+    assert np.abs(expected).max() > 1e-6
+    gap[1, np.flatnonzero(present[1])[0]] = 0.0
+    dq, _ = newton_direction(state[0], gap, *state[1:])
+    np.testing.assert_allclose(dq[0], expected[0], rtol=1e-12)
+    assert not dq[1].any()
 
 
 def test_random_starts_reach_the_same_strain():

@@ -20,13 +20,12 @@ from rve.finite.contacts import (
     track_gaps,
     transfer_forces,
     travel_bounds,
-    wall_derivatives,
-    wall_gaps,
 )
 from rve.finite.newton import METRIC, NewtonSystem, blocks, forces_that_stop, gradients, negative_part, rows_of, spread
 from rve.finite.problem import Iterate, Problem, ScaledProblem
 from rve.finite.solution import SolverResult, as_solution
 from rve.finite.solve import solve_rings
+from rve.finite.walls import wall_derivatives, wall_gaps
 from rve.geometry import local_minima, tangent_frame
 from rve.placed.drawn import ALONG
 
