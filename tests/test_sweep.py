@@ -204,7 +204,9 @@ def test_what_was_read_has_changed_and_is_run_again(tmp_path, shape, name):
         write_outline(tmp_path / name, square) if shape == "dxf" else square.save(tmp_path / name)
 
     draw(120.0)
-    (tmp_path / "hung.toml").write_text(f'[curtain]\nshape = "{shape}"\nfile = "{name}"\n[support]\nkind = "top"\n')
+    coarse = "[mesh]\ncells = 4\n" if shape == "dxf" else ""
+    scene = f'[curtain]\nshape = "{shape}"\nfile = "{name}"\n{coarse}[support]\nkind = "top"\n'
+    (tmp_path / "hung.toml").write_text(scene)
     law = tmp_path / "law.json"
     law.write_bytes(DEFAULT_LAW.read_bytes())
     ask = ("sweep", tmp_path / "hung.toml", "--out", tmp_path / "out", "--no-picture", f"--law={law}")
