@@ -8,6 +8,7 @@ import shlex
 import sys
 import threading
 from contextlib import chdir, redirect_stdout
+from multiprocessing.resource_tracker import ensure_running
 from typing import get_args
 
 import click
@@ -88,6 +89,7 @@ def there(monkeypatch, folder):
 def typed(command, *options):
     """Exit code, standard output and what a terminal shows of a command whose output is piped."""
     package, name = command.split()
+    ensure_running()  # or a sweep starts it, and it keeps the terminal open, as it keeps the stderr that it finds
     master, slave = os.openpty()
     seen = []
 
