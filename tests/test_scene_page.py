@@ -78,7 +78,8 @@ def test_ranges_and_words_are_those_of_the_types(noun):
         else:
             words = tomllib.loads(f"x = [{said[key][0]}]")["x"]
             assert [typed(word, kind, key) for word in words] == words
-            with pytest.raises(ValueError, match=re.escape(f"is not one of {', '.join(words)}")):
+            told = ", ".join(str(word).lower() if isinstance(word, bool) else word for word in words)
+            with pytest.raises(ValueError, match=re.escape(f"is not one of {told}")):
                 typed("abracadabra", kind, key)
 
 

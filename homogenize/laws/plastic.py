@@ -16,13 +16,18 @@ all j and (F S):G >= g bounds it. Strips drawn to a line, G = a (x) n, are looke
 axes of the weave is kept; then every row with G = F.
 
 Rings that are drawn out end as strings, which stretch no more: half-spaces |F L| <= c_2, c_2^2 = 2 h_strings + tr S,
-beside those that tau widens, so that the law is (I_K with D added by inf-convolution) + I_K2.
+beside those that tau widens, so that the law is (I_K with D added by inf-convolution) + I_K2. Elastic wire of Young's
+modulus E and section A under tension T is longer by T 2 pi r1/(E A). Of loads lam_i S_i with tensions T_i it stores
+sum lam_i lam_j C_ij / 2, C_ij = sum over the rings of T_i T_j 2 pi r1/(E A A_ref), never more than with the rank one
+C_ij = g_i g_j, g_i^2 = C_ii, which is exact where all rings share loads alike: |F L| <= c_2 + N_e e, N_e = g / c_2, at
+the cost e^2 / 2, which is never stiffer than the strings.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Literal
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -132,11 +137,12 @@ def _within_rows(S: Array, kappa: Array, strips: Array, known: Strength, C: Arra
 
 @dataclass(frozen=True, eq=False)
 class Strings(ByValue):
-    """Rings drawn to strings: h (n,) of loads S (n, 3) of unit trace; wire: the tension over its cross-section under
-    line loads, as `Strength.collapse_at` tells it."""
+    """Rings drawn to strings: h (n,) of loads S (n, 3) of unit trace; N (n,) in (mm/N)^0.5, see `PlasticLaw`; wire: the
+    tension over its cross-section under line loads, as `Strength.collapse_at` tells it."""
 
     S: Array
     h: Array
+    N: Array
     wire: Strength
 
 
@@ -157,17 +163,20 @@ def _strings(law: PolyhedralLaw) -> Strings:
     found = _drawn(info.cell(), known.S.tobytes(), info.sides_mm)
     if (found.h < law.support(known.S) - 1e-3).any():
         raise InputError("strings: are shorter than rings that lock, so the law is not that of its cell; fit it again")
-    S, h = (np.vstack([known.S, mirror(known.S)]), np.tile(found.h, 2)) if known.is_mirrored else (known.S, found.h)
+    S, h, N = known.S, found.h, found.give / np.sqrt(known.material.young_N_per_mm2 * (2.0 * found.h + 1.0))
+    if known.is_mirrored:
+        S, h, N = np.vstack([S, mirror(S)]), np.tile(h, 2), np.tile(N, 2)
     first = each_once(disc(S))
-    return Strings(S[first], h[first], replace(known, collapse=found.stress, error=None))
+    return Strings(S[first], h[first], N[first], replace(known, collapse=found.stress, error=None))
 
 
 @dataclass(frozen=True, eq=False)
 class PlasticLaw(MembraneLaw):
     """The law `own` whose rings flow at the safe limit surface: half-spaces S (n, 3), h (n,), widened by N tau, N (n,)
-    in mm/N, which is 0 for those of `strings`; difference: see `LimitSurface`. Cuts are those of strains with tau and
-    tau^2 / 2, (n, 5), or with `is_limit` of C / 2, 0, tau^2 / 2, C = F^T F: what is left where a curtain is stretched
-    without end."""
+    in mm/N, which is 0 for those of `strings`; these are widened by N_e e, N_e (n,), where they are elastic.
+    difference: see `LimitSurface`. Cuts are those of strains with tau and tau^2 / 2, (n, 5), with e and e^2 / 2 beside
+    them where strings are elastic, or with `is_limit` of C / 2, 0, tau^2 / 2, C = F^T F: what is left where a curtain
+    is stretched without end."""
 
     own: PolyhedralLaw
     S: Array
@@ -176,6 +185,7 @@ class PlasticLaw(MembraneLaw):
     difference: float
     strings: Strings | None = None
     is_limit: bool = False
+    N_e: Array | None = None
 
     name = property(lambda self: self.own.name)
     cell = property(lambda self: self.own.cell)
@@ -187,12 +197,12 @@ class PlasticLaw(MembraneLaw):
     def half_spaces(self) -> HalfSpaces:
         start = self.own.half_spaces()  # these fibres are among its own
         near = ((self.S - start.S[:, None]) ** 2).sum(axis=2).argmin(axis=1)
-        return HalfSpaces(self.S[near], self.h[near], self.N[near])
+        return HalfSpaces(self.S[near], self.h[near], self.extra[near])
 
     def cut(self, E: Array) -> Cut:
         check_finite(E)
         worst, violation = self._body.worst(E)
-        return Cut(self.S[worst], self.h[worst], violation, self.N[worst])
+        return Cut(self.S[worst], self.h[worst], violation, self.extra[worst])
 
     def response(self, E: Array) -> Response:
         return self.own.response(E)
@@ -200,23 +210,29 @@ class PlasticLaw(MembraneLaw):
     def elastic(self) -> MembraneLaw:
         return self.own.elastic()
 
-    def without_strings(self, *, is_limit: bool = False) -> PlasticLaw:
-        """The law of rings that flow as far as the curtain likes."""
-        S, h, N = (of[self.N > 0.0] for of in (self.S, self.h, self.N))
-        return PlasticLaw(self.own, S, h, N, self.difference, is_limit=is_limit)
+    def parts(self, *, is_limit: bool = False) -> tuple[PlasticLaw, ...]:
+        """The law of rings that flow as far as the curtain likes, and that of elastic strings alone."""
+        some = [(N, N > 0.0) for N in self.extra.T]
+        return tuple(
+            PlasticLaw(self.own, self.S[of], self.h[of], N[of], self.difference, is_limit=is_limit) for N, of in some
+        )
+
+    @cached_property
+    def extra(self) -> Array:
+        """N beside N_e, (n, 1) or (n, 2)."""
+        return np.column_stack([self.N] if self.N_e is None else [self.N, self.N_e])
 
     @cached_property
     def _body(self) -> Polyhedron:
-        wider = -self.N * np.sqrt(2.0 * self.h + 1.0), -(self.N**2)
-        return Polyhedron(
-            np.column_stack([self.S * WEIGHT, *wider]), 0.0 * self.h if self.is_limit else self.h, np.eye(5)
-        )
+        wider = [one for N in self.extra.T for one in (-N * np.sqrt(2.0 * self.h + 1.0), -(N**2))]
+        planes = np.column_stack([self.S * WEIGHT, *wider])
+        return Polyhedron(planes, 0.0 * self.h if self.is_limit else self.h, np.eye(planes.shape[1]))
 
 
 @checked
-def plastic_law(law: MembraneLaw, *, strings: bool = False) -> PlasticLaw:
-    """The law of a curtain whose rings flow, on request until they are strings; InputError for laws without a limit
-    surface, without yield stress, or of rings that are no strings."""
+def plastic_law(law: MembraneLaw, *, strings: bool | Literal["elastic"] = False) -> PlasticLaw:
+    """The law of a curtain whose rings flow, on request until they are strings, which then stretch no more or are
+    elastic; InputError for laws without a limit surface, without yield stress, or of rings that are no strings."""
     surface = limit_surface(law)
     assert isinstance(law, PolyhedralLaw)
     assert law.strength is not None
@@ -225,5 +241,6 @@ def plastic_law(law: MembraneLaw, *, strings: bool = False) -> PlasticLaw:
     if not strings:
         return flowing
     last = _strings(law)
-    S, h, N = (np.concatenate(pair) for pair in ((flowing.S, last.S), (flowing.h, last.h), (N, 0.0 * last.h)))
-    return replace(flowing, S=S, h=h, N=N, strings=last)
+    pairs = (flowing.S, last.S), (flowing.h, last.h), (N, 0.0 * last.h), (0.0 * N, last.N)
+    S, h, N, N_e = (np.concatenate(pair) for pair in pairs)
+    return replace(flowing, S=S, h=h, N=N, strings=last, N_e=N_e if strings == "elastic" else None)

@@ -33,8 +33,9 @@ def check_finite(values: Array, what: str = "strains") -> None:
 class HalfSpaces(ByValue):
     """Half-spaces S_i:E <= h_i with S_i positive semidefinite; S_i of another trace than 1 and h_i are divided by it.
 
-    S (m, 3) in the order 11, 12, 22; h (m,); extra (m,): by how much each is widened per unit of tau
-    (`homogenize.laws.giving`), or None. InputError for other shapes, numbers that are not finite, and what pushes.
+    S (m, 3) in the order 11, 12, 22; h (m,); extra (m,) or (m, k): by how much each is widened per unit of tau
+    (`homogenize.laws.giving`, `homogenize.laws.plastic`), or None. InputError for other shapes, numbers that are not
+    finite, and what pushes.
 
     >>> HalfSpaces(np.array([[2.0, 0.0, 2.0]]), np.array([0.4])).h
     array([0.1])
@@ -58,14 +59,14 @@ class HalfSpaces(ByValue):
         size = np.where(np.abs(size - 1.0) < ROUNDING, 1.0, size)
         object.__setattr__(self, "S", S / size[:, None])
         object.__setattr__(self, "h", h / size)
-        object.__setattr__(self, "extra", None if self.extra is None else self.extra / size)
+        object.__setattr__(self, "extra", None if self.extra is None else (self.extra.T / size).T)
 
 
 @dataclass(frozen=True, eq=False)
 class Cut(Rows):
     """For each strain the half-space that it violates most: S (n, 3) of unit trace, h (n,), violation S:E - h (n,).
 
-    extra (n,): see `HalfSpaces`.
+    extra (n,) or (n, k): see `HalfSpaces`.
     """
 
     S: Array

@@ -104,6 +104,7 @@ def bound(solution: CurtainSolution, outer: MembraneLaw | None = None) -> Curtai
     `outer`: a law, in the frame of the weave, that contains the solution's; the lower bound is then for it. InputError
     for a piece of the curtain that hangs on a single corner of another.
     """
+    _check_points(solution.problem)
     begin, upper, inner, area = time.perf_counter(), solution.primal, solution.problem.law, solution.problem.disc.weight
     tiles = 3 // solution.problem.disc.n_quad
     gradients, work = np.tile(solution.F, (tiles, 1, 1)), 0.0 if solution.tau is None else np.tile(solution.tau, tiles)
@@ -235,12 +236,22 @@ def admissible_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor
     """
     quadratic = replace(scene, mesh=replace(scene.mesh, element="P2"))
     problem = make_problem(quadratic, law, mesh, factor)
+    _check_points(problem)
     if len(problem.walls):
         return make_problem(replace(scene, mesh=replace(scene.mesh, element="P1")), law, mesh, factor)
     values, gradients = reference_shapes(skfem.ElementTriP2(), MEETS[:, :3], 6)
     weight = np.tile(problem.disc.cell_area / 3.0, 3)  # exact for linear functions
     disc = replace(problem.disc, shape_values=values, shape_gradients=gradients, weight=weight)
     return replace(problem, disc=disc, fem=problem.supports.fem(disc))
+
+
+def _check_points(problem: CurtainProblem) -> None:
+    """InputError for points around which no largest stretch bounds what the spread force does."""
+    if problem.scene.solver.strings == "elastic" and len(problem.points):
+        problem.scene.refuse(
+            "[solver] strings = 'elastic': bounds do not go with points held or loaded one by one, where elastic "
+            "strings stretch without end; take strings = true, or edges and patches"
+        )
 
 
 def with_cones_of(problem: CurtainProblem, before: CurtainSolution | None) -> CurtainProblem:

@@ -62,8 +62,8 @@ def limit_path(
     """The limit of a discretisation under nodal forces (n_nodes, d): `dual` and `primal` over load times size bound
     it."""
     at_rest = fem.moved(np.zeros_like(fem.x_held))
-    load, law = fem.gather(force), problem.plastic_law.flowing(is_limit=True)
-    flow = Flow(strength_at_points(problem, fem.disc), law, is_limit=True)
+    load, law = fem.gather(force), problem.plastic_law.parts(is_limit=True)[0]
+    flow = Flow(strength_at_points(problem, fem.disc), (law,), is_limit=True)
     terms = Terms(walls=replace(walls, offset=0.0 * walls.offset), flow=flow)
     return solve_path(at_rest, law, load, np.zeros(fem.n), problem.mesh.size, options, terms)
 

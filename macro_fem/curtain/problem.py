@@ -105,6 +105,12 @@ class CurtainProblem:
         cell = self.law.cell
         return 0.0 if cell is None else float(np.sqrt(cell.b_x_mm * cell.b_y_mm / np.pi))
 
+    @property
+    def points(self) -> Array:
+        """Where points are held or loaded one by one, (n, 2) in mm of the reference."""
+        held = [self.disc.nodes[one.nodes] for one in self.supports.held if not len(one.facets)]
+        return np.vstack([*held, *(np.array([one.at]) for one in self.scene.of(PointLoad)), np.zeros((0, 2))])
+
     @cached_property
     def plastic_law(self) -> HungLaw:
         """The law of a curtain whose rings flow."""
@@ -112,7 +118,8 @@ class CurtainProblem:
 
     @property
     def last_law(self) -> HungLaw:
-        """The law beyond which the curtain does not stretch: that of strings where rings flow until they are some."""
+        """The law beyond which the curtain does not stretch: that of strings where rings flow until they are some,
+        before these stretch."""
         return self.plastic_law.drawn() if self.scene.solver.strings else self.law
 
 
@@ -221,11 +228,12 @@ def strength_at_points(problem: CurtainProblem, disc: Discretization) -> Array:
     """By how many times rings at the points of a discretisation are stronger than those of the law (n_points,).
 
     A hook or a point load holds a ring, whose own strength is judged apart; no membrane within bounds bears a force at
-    a point. So triangles whose middle is within the disk of one cell of the weave around it do not flow.
+    a point. So triangles whose middle is within the disk of one cell of the weave around it do not flow, nor do
+    their strings stretch.
     """
-    held = [problem.disc.nodes[one.nodes] for one in problem.supports.held if not len(one.facets)]
-    at = np.vstack([*held, *(np.array([one.at]) for one in problem.scene.of(PointLoad)), np.zeros((0, 2))])
-    distance = cKDTree(at).query(disc.cell_mean(disc.points))[0] if len(at) else np.full(disc.n_cells, np.inf)
+    at, distance = problem.points, np.full(disc.n_cells, np.inf)
+    if len(at):
+        distance = cKDTree(at).query(disc.cell_mean(disc.points))[0]
     # How much stronger the mesh is around held and loaded points. Ten times more changes limits by less than 1e-3.
     return np.tile(np.where(distance < problem.disk_of_cell, 1e3, 1.0), disc.n_quad)
 

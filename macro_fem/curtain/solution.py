@@ -26,8 +26,8 @@ class CurtainSolution(CurtainState, Judged):
     exceed, `reach` how much farther apart the supports could be, `relaxation` by how much the law was relaxed, whose
     bounds primal and dual then are; None for the law as it is. `second_step`: whether forces are those of elastic rings
     by a second step, and why; None where that is no question. `settling`: how far the rounds of
-    `macro_fem.curtain.shape` have come, None where the problem is convex. tau (nq,): plastic work per area, N/mm, None
-    where rings do not flow; drawn: see `Evidence`.
+    `macro_fem.curtain.shape` have come, None where the problem is convex. tau (nq,): plastic work per area, N/mm, with
+    what elastic strings store, None where rings do not flow; drawn: see `Evidence`.
     """
 
     stop: str

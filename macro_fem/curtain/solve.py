@@ -71,7 +71,7 @@ def solve_convex(problem: CurtainProblem, start: CurtainSolution | None = None) 
     if start is not None and is_alike(problem.fem, start.problem.fem):
         problem = replace(problem, fem=start.problem.fem.moved(problem.fem.x_held))
     spec, relaxation = problem.scene.solver, None
-    reach = FREE if spec.is_plastic and not spec.strings else supports_reach(problem, start)
+    reach = FREE if spec.is_plastic and spec.strings is not True else supports_reach(problem, start)
     if spec.is_elastic and reach.is_out:
         # More than the loads stretch its rings would be the elasticity of rings beyond what the law was made for.
         line_load = float(np.abs(problem.force).sum()) * problem.mesh.size / float(problem.disc.weight.sum())
@@ -153,7 +153,7 @@ def _solve_within_reach(
 
 def flow_of(problem: CurtainProblem, disc: Discretization) -> Flow:
     """How rings flow at the points of a discretisation of the problem."""
-    return Flow(strength_at_points(problem, disc), problem.plastic_law.flowing())
+    return Flow(strength_at_points(problem, disc), problem.plastic_law.parts())
 
 
 def make_solution(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -58,15 +59,14 @@ class HungLaw:
     def elastic(self) -> HungLaw:
         return replace(self, own=elastic_law(self.own))
 
-    def plastic(self, *, strings: bool = False) -> HungLaw:
+    def plastic(self, *, strings: bool | Literal["elastic"] = False) -> HungLaw:
         """The law of rings that flow, on request until they are strings; InputError by `plastic_law`."""
         return replace(self, own=plastic_law(self.own, strings=strings))
 
-    def flowing(self, *, is_limit: bool = False) -> HungLaw:
-        """The law of rings that flow without their strings; with `is_limit` what is left of it where the curtain is
-        stretched without end."""
+    def parts(self, *, is_limit: bool = False) -> tuple[HungLaw, ...]:
+        """Those of a `PlasticLaw`; with `is_limit` what is left of them where the curtain is stretched without end."""
         assert isinstance(self.own, PlasticLaw)
-        return replace(self, own=self.own.without_strings(is_limit=is_limit))
+        return tuple(replace(self, own=one) for one in self.own.parts(is_limit=is_limit))
 
     def drawn(self) -> HungLaw:
         """The law of rings that are strings already, of a law of rings that flow until they are."""

@@ -282,7 +282,7 @@ class Loading(Typed):
 class Solver(Typed):
     """`kind`: "rigid" is ideal locking, "elastic" the elastic law; "auto" is rigid, with forces of elastic rings where
     rigid ones leave them open (`macro_fem.curtain`); "plastic" is ideal locking with rings that flow where they
-    collapse, with `strings` until they are drawn to strings, which stretch no more.
+    collapse, with `strings` until they are drawn to strings, which stretch no more, or as their wire if "elastic".
 
     `tolerance` is relative to the problem's energy scale, total load times size. `stabilising_tension` adds an even
     tension of this part of (total load / size) everywhere, which decides the shape of slack parts. The bounds in the
@@ -297,7 +297,7 @@ class Solver(Typed):
     bounds: bool = False
     adapt: Annotated[int, Meta(ge=0, le=12)] = 0
     space: bool = False
-    strings: bool = False
+    strings: bool | Literal["elastic"] = False
 
     @property
     def is_elastic(self) -> bool:

@@ -67,9 +67,12 @@ class _Place:
 
     @cached_property
     def tau(self) -> Array | None:
-        """The least plastic work (nq,) in N/mm with which z is admissible; None where rings do not flow."""
-        program = self.program
-        return None if program.flow is None else find_flow(program, self.state.z)
+        """The least plastic work (nq,) in N/mm with which z is admissible, with what elastic strings store; None where
+        rings do not flow."""
+        if (flow := self.program.flow) is None:
+            return None
+        tau, *e = (find_flow(self.program, self.state.z, law) for law in flow.laws)
+        return tau + 0.5 * sum(one**2 for one in e) if e else tau
 
     @cached_property
     def primal(self) -> float:
@@ -231,16 +234,18 @@ def _make_result(place: _Place, stop: str, inner: _Place, steps: int, options: P
     program, y = place.program, place.state.y
     tail = y.tail[:, program.lead :]
     excess = place.now.dual * program.scale / float((program.w * y.head * program.c).sum())
-    lam = program.carried(y) / (place.state.s.head if program.flow else program.c)
+    head = place.state.s.head if program.flow else program.c
+    lam, (pulled, strain) = program.carried(y) / head, program.pull(y)
+    stored = 0.5 * (strain[:, 1:] ** 2).sum(axis=1) if program.flow else 0.0
     return PathResult(
         stop=stop,
         evidence=answer.evidence,
         asked=options.accuracy,
         z=answer.state.z,
         S=program.cones.stress(lam),
-        psi=program.cones.sum(program.c * np.sqrt(soc.row_dot(tail, tail))),
+        psi=program.cones.sum(program.c * np.sqrt(soc.row_dot(tail, tail))) + stored,
         cones=program.cones,
-        P=-program.pull(y)[0],
+        P=-pulled,
         primal=answer.primal,
         dual=answer.lower,
         iterations=steps,
@@ -248,22 +253,28 @@ def _make_result(place: _Place, stop: str, inner: _Place, steps: int, options: P
         wall_forces=program.rows.reactions(place.state.u),
         tau=answer.tau,
         lam=lam,
-        S_strings=program.cones.stress(lam * (program.N[:, 0] == 0.0)) if program.flow else None,
+        S_strings=_of_strings(program, place.state) if program.flow else None,
     )
 
 
-def find_flow(program: Program, z: Array) -> Array:
-    """The least plastic work tau (nq,) in N/mm with which |F L| <= offset + N tau holds for the whole law."""
+def _of_strings(program: Program, state: ConeState) -> Array:
+    """S (nq, 3) under which strings that stretch no more have the tensions that they have."""
+    longer = soc.row_dot(program.N[:, 1:], state.eps[program.cones.point, 1:])
+    return program.cones.stress(program.carried(state.y) / (state.s.head - longer) * (program.N[:, 0] == 0.0))
+
+
+def find_flow(program: Program, z: Array, law: MembraneLaw) -> Array:
+    """The least tau (nq,) with which |F L| <= offset + N tau holds for the whole law, one of those of the flow."""
     assert program.flow is not None
     F, tau = program.fem.gradient(z), np.zeros(len(program.fem.disc.weight))
     C = 2.0 * green_strain(F) + IDENTITY
     for _ in range(STOP.patience):
-        cut = all_cuts(program.flow.law, program.locked(F, tau[:, None]))
+        cut = all_cuts(law, program.locked(F, tau[:, None]))
         assert cut.extra is not None
         radius = np.sqrt(np.maximum((cut.S * WEIGHT * C).sum(axis=1), 0.0))
         beyond = radius - np.sqrt(2.0 * cut.h + 1.0) * (not program.is_limit)
         beyond[beyond < STEP.rounded * radius] = 0.0  # work of rounding, which is more than that of the smallest loads
-        asked = np.maximum(tau, beyond / cut.extra * program.flow.strength)
+        asked = np.maximum(tau, beyond / cut.extra[:, 0] * program.flow.strength)
         if not (asked > tau * (1.0 + 1e-12)).any():
             break
         tau = asked

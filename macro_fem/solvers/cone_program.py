@@ -29,6 +29,8 @@ place of w eps.eps / 2:
 
     (c + N tau, F L),   sum of y_0 N + v = 1,   tau v = mu.
 
+Cones of elastic strings are (c + N e, F L) at the cost w e^2 / 2, so that e = sum of y_0 N; eps is (tau, e).
+
 Their limit is the least sum of w tau over l.z with c = 0 and supports at rest at 0: the multiplier of l.z = scale is
 the factor f on the load, `ConeState.factor`, and Newton's matrix has one more row and column.
 
@@ -60,8 +62,8 @@ LIFT = 0.1
 @dataclass(frozen=True)
 class ConeState:
     """Free unknowns z, strains eps (nq, k), primal cone vectors s (lengths), dual ones y (N/mm); slacks t (m,) and dual
-    variables u (m,), N/mm, of half-spaces on nodes. Of rings that flow eps is tau, N/mm, and v (nq, k) its dual
-    variable; factor: on the load."""
+    variables u (m,), N/mm, of half-spaces on nodes. Of rings that flow eps begins with tau, N/mm, and v (nq, 1) is its
+    dual variable, else (nq, 0); factor: on the load."""
 
     z: Array
     eps: Array
@@ -73,9 +75,14 @@ class ConeState:
     factor: float = 1.0
 
     @property
+    def tau(self) -> Array:
+        """That of rings which flow (nq, 1), else (nq, 0)."""
+        return self.eps[:, : self.v.shape[1]]
+
+    @property
     def is_inside(self) -> bool:
         """Whether all cone vectors are inside their cones: rounding may put one on the boundary."""
-        flows = min(self.eps.min(initial=np.inf), self.v.min(initial=np.inf)) if self.v.size else np.inf
+        flows = min(self.tau.min(initial=np.inf), self.v.min(initial=np.inf))
         is_in_rows = min(self.t.min(initial=np.inf), self.u.min(initial=np.inf), flows) > 0.0
         return bool(self.s.margin().min() > 0.0 and self.y.margin().min() > 0.0 and is_in_rows)
 
@@ -121,10 +128,10 @@ class Program:
     @cached_property
     def N(self) -> Array:
         """What the strains eps do to each cone: R^T W S / c (nc, k), and g / c beside them where rings give by
-        direction; of rings that flow N (nc, 1)."""
+        direction; of rings that flow N (nc, 1), and that of elastic strings beside it, (nc, 2)."""
         if self.flow is not None:
             assert self.cones.extra is not None
-            return np.asarray(self.cones.extra / self.flow.strength[self.cones.point])[:, None]
+            return np.asarray(self.cones.extra / self.flow.strength[self.cones.point, None])
         N = (self.cones.S * WEIGHT) @ self.R
         N = N if self.cones.extra is None else np.column_stack([N, self.cones.extra])
         return np.asarray(N / self.c[:, None])
@@ -177,9 +184,9 @@ class Program:
         """E - R eps (nq, 3): the strain that the half-spaces limit; tau beside it where there is one, (nq, 4); see
         `PlasticLaw` for rings that flow."""
         if self.flow is not None:
-            tau = eps[:, 0] / self.flow.strength
+            wider = (eps / self.flow.strength[:, None]).T
             E = green_strain(F) + 0.5 * IDENTITY * self.is_limit
-            return np.column_stack([E, tau * (not self.is_limit), 0.5 * tau**2])
+            return np.column_stack([E, *(part for x in wider for part in (x * (not self.is_limit), 0.5 * x**2))])
         k = self.R.shape[1]
         E = green_strain(F) - eps[:, :k] @ self.R.T
         return E if self.cones.extra is None else np.column_stack([E, eps[:, k]])
@@ -234,23 +241,24 @@ def measure(program: Program, state: ConeState) -> Measure:
     if program.inertia is not None:
         r_x = r_x + program.inertia.force(state.z)
         energy, below = program.inertia.energy(state.z), program.inertia.deficit(r_x)
-    r_e = strain - (state.eps if program.flow is None else 1.0 - state.v)
+    flows = state.v.shape[1]
+    r_e = strain - np.column_stack([1.0 - state.v, state.eps[:, flows:]])
     r_f = scale - float(program.load @ state.z) if program.is_limit else 0.0
     wanted = program.slack(state.z, state.eps)
     r_s, r_t = state.s - wanted, state.t - rows.slack(state.z)
     zero = np.zeros_like(state.z)
     dual = -float((w * state.y.head * program.offset).sum()) + state.factor * scale * program.is_limit
     dual -= float((fem.disc.weight * (sum_of_parts * fem.gradient(zero)).sum(axis=(1, 2))).sum())
-    dual -= 0.5 * float((fem.disc.weight * soc.row_dot(strain, strain)).sum()) * (program.flow is None)
+    dual -= 0.5 * float((fem.disc.weight * soc.row_dot(strain[:, flows:], strain[:, flows:])).sum())
     dual -= float((rows.v * state.u * rows.slack(zero)).sum())
     unbalanced = float(np.abs(r_x).sum()) / program.total
     lower = (dual - float(((state.factor * program.load + r_y) * state.z).sum()) + energy) / scale
-    strained = float(np.sqrt((fem.disc.weight * soc.row_dot(r_e, r_e)).sum() / scale))
+    strained = float(np.sqrt((fem.disc.weight * soc.row_dot(r_e[:, flows:], r_e[:, flows:])).sum() / scale))
     drawn = 1.0
     if program.flow is not None:
         drawn = max(drawn, state.factor if program.is_limit else float((w * program.c) @ state.y.head) / scale)
-        strained = float(np.abs(r_e).max()) + abs(r_f) / scale
-        lower -= REACH * strained
+        off = float(np.abs(r_e[:, :flows]).max()) + abs(r_f) / scale
+        strained, lower = strained + off, lower - REACH * off
     return Measure(
         gap=mean_product(program, state) * program.area / scale,
         unbalanced=unbalanced,
@@ -272,7 +280,7 @@ def measure(program: Program, state: ConeState) -> Measure:
 def mean_product(program: Program, state: ConeState) -> float:
     """mu: the mean of s.y over the cones, N/mm."""
     products = float((program.w * state.s.dot(state.y)).sum()) + float((program.rows.v * state.t * state.u).sum())
-    flowing = float((program.fem.disc.weight * soc.row_dot(state.eps, state.v)).sum()) if state.v.size else 0.0
+    flowing = float((program.fem.disc.weight * soc.row_dot(state.tau, state.v)).sum())
     return (products + flowing) / program.area
 
 
@@ -283,7 +291,7 @@ def find_first_state(program: Program, z: Array, first_gap: float) -> ConeState:
     if program.flow is not None and not program.is_limit:  # as supports may draw them: else twice the steps
         mu = max(mu, len(program.cones.first) / float((program.N[:, 0] / program.c).sum()))
     v = np.ones((len(program.fem.disc.weight), 1 if program.flow is not None else 0))
-    eps = mu * v if v.size else np.zeros((len(v), program.N.shape[1]))
+    eps = np.column_stack([mu * v, np.zeros((len(v), program.N.shape[1] - v.shape[1]))])
     s = program.slack(z, eps).lifted(LIFT * program.c)
     t = np.maximum(program.rows.slack(z), LIFT)
     return ConeState(z, eps, s, soc.inverse(s, mu), t, mu / t, v, 0.0 if program.is_limit else 1.0)

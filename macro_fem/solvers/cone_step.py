@@ -91,18 +91,21 @@ class _Newton:
         H = cones.sum_of_squares(q, 2.0 * inv2)
         add_stress(H[:, k:, k:], cones.stress(inv2))
         if k:
-            H = np.ascontiguousarray(H)
-            H[:, range(k), range(k)] += 1.0 if program.flow is None else state.v / state.eps
+            H, rest = np.ascontiguousarray(H), np.ones_like(state.eps)
+            rest[:, : state.v.shape[1]] = state.v / state.tau
+            H[:, range(k), range(k)] += rest
             if program.flow is not None:  # without n in the tail its square does not cancel
-                H[:, 0, 0] -= cones.sum(inv2 * program.N[:, 0] ** 2)
+                square = np.stack([cones.sum(inv2 * column**2) for column in program.N.T], axis=1)
+                H[:, range(k), range(k)] -= square
         self.root: Array = np.asarray(np.linalg.cholesky(H[:, :k, :k]))
         self.couple: Array = np.asarray(np.linalg.solve(self.root, H[:, :k, k:]))
         A = H[:, k:, k:] - self.couple.swapaxes(1, 2) @ self.couple if k else H
         if program.flow is not None:  # tau = -t dF taken into each cone: the difference would lose twice the digits
-            t, rest = H[:, 0, 1:] / H[:, 0, :1], state.v / state.eps
-            A = cones.sum_of_squares(q[:, 1:] - q[:, :1] * t[cones.point], 2.0 * inv2)
+            t = [H[:, i, k:] / H[:, i, i, None] for i in range(k)]  # no cone has both tau and e
+            A = cones.sum_of_squares(q[:, k:] - sum(q[:, i, None] * t[i][cones.point] for i in range(k)), 2.0 * inv2)
             add_stress(A, cones.stress(inv2))
-            A += (rest - cones.sum(inv2 * program.N[:, 0] ** 2)[:, None])[:, :, None] * t[:, :, None] * t[:, None, :]
+            for i in range(k):
+                A += (rest - square)[:, i, None, None] * t[i][:, :, None] * t[i][:, None, :]
         self.solve = program.fem.factorize(A.reshape(-1, d, 2, d, 2), program.added(state.u / state.t))
         self.by_load = self.solve(program.load) if program.is_limit else None
 
@@ -112,13 +115,14 @@ class _Newton:
         """The step to point o (W dy + W^-1 ds) = aim, u dt + t du = row_aim and v deps + eps dv = flow_aim with
         residuals reduced to the part `keep`, W^-1 ds and W dy."""
         program, W, now, rows, state = self.program, self.W, self.now, self.program.rows, self.state
-        is_flowing = program.flow is not None
-        t, u, r_t = self.state.t, self.state.u, now.r_t * (1.0 - keep)
+        t, u, r_t, flows = self.state.t, self.state.u, now.r_t * (1.0 - keep), state.v.shape[1]
         r_s = now.r_s * (1.0 - keep)
         both = soc.divide(self.point, aim)
         aimed = W.undo(both)
         force, strain = program.pull(aimed + W.undo_twice(r_s))
-        half = _solve(self.root, strain + (1.0 - keep) * now.r_e + (flow_aim / state.eps if is_flowing else 0.0))
+        strain += (1.0 - keep) * now.r_e
+        strain[:, :flows] += flow_aim / state.tau
+        half = _solve(self.root, strain)
         force = force - np.einsum("nij,ni->nj", self.couple, half).reshape(force.shape)
         dz = self.solve((1.0 - keep) * now.r_x + program.fem.force(force) + rows.force((row_aim + u * r_t) / t))
         df = 0.0
@@ -133,7 +137,7 @@ class _Newton:
         scaled = W.undo(ds)
         dt = rows.A @ dz - r_t
         du = (row_aim - u * dt) / t
-        dv = (flow_aim - state.v * deps) / state.eps if is_flowing else state.v
+        dv = (flow_aim - state.v * deps[:, :flows]) / state.tau
         return ConeStep(dz, deps, ds, aimed - W.undo(scaled), d_wanted, dt, du, dv, keep, df), scaled, both - scaled
 
 
@@ -142,7 +146,7 @@ def limited(program: Program, state: ConeState, step: ConeStep, boundary: float)
     primal = min(1.0, boundary * soc.largest_step(state.s, step.ds), boundary * longest(state.t, step.dt))
     dual = min(1.0, boundary * soc.largest_step(state.y, step.dy), boundary * longest(state.u, step.du))
     if program.flow is not None:
-        primal = min(primal, boundary * longest(state.eps, step.deps))
+        primal = min(primal, boundary * longest(state.tau, step.deps[:, : state.v.shape[1]]))
         dual = min(dual, boundary * longest(state.v, step.dv))
     both = min(primal, dual)
     return replace(step, primal=both, dual=both) if program.lead else replace(step, primal=primal, dual=dual)
@@ -160,7 +164,7 @@ def find_step(program: Program, state: ConeState, now: Measure, least_gap: float
     unit = Vectors(np.ones(len(program.c)), np.zeros_like(state.s.tail))
     mu = mean_product(program, state)
     square = soc.product(newton.point, newton.point)
-    row_square, flow_square = state.t * state.u, state.eps * state.v if state.v.size else state.v
+    row_square, flow_square = state.t * state.u, state.tau * state.v
     affine, scaled_ds, scaled_dy = newton.direction(square * -1.0, -row_square, -flow_square, 0.0)
     affine = limited(program, state, affine, 1.0)
     sigma = (1.0 - min(affine.primal, affine.dual)) ** 3
@@ -170,7 +174,7 @@ def find_step(program: Program, state: ConeState, now: Measure, least_gap: float
     if program.flow is not None and max(now.unbalanced, now.strain) > ahead * now.gap:
         aim = mu
     row_aim = aim - row_square - affine.dt * affine.du
-    flow_aim = aim - flow_square - affine.deps * affine.dv if state.v.size else state.v
+    flow_aim = aim - flow_square - affine.deps[:, : state.v.shape[1]] * affine.dv
     step, _, _ = newton.direction(unit * aim - square - second, row_aim, flow_aim, sigma)
     if not (np.all(np.isfinite(step.dz)) and np.all(np.isfinite(step.dy.head))):
         return None

@@ -25,7 +25,7 @@ LAW_CHUNK = 20_000
 @dataclass(frozen=True)
 class Cones:
     """Half-spaces of all points, one or more of each: `point` (nc,) ascending, S (nc, 3), h (nc,), `first` (nq,) where
-    each point begins; extra (nc,): by how much each is widened per unit of tau (`GivingLaw`), or None.
+    each point begins; extra (nc,) or (nc, k): by how much each is widened per unit of tau (`GivingLaw`), or None.
     """
 
     point: np.ndarray

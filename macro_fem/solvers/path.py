@@ -103,12 +103,12 @@ def times(W: Array, v: Array) -> Array:
 @dataclass(frozen=True, eq=False)
 class Flow:
     """Rings that flow, by a `PlasticLaw`: strength (nq,), by how many times those at each point are stronger than those
-    of the law; law: that of the half-spaces which they widen; is_limit: whether the largest factor on the load is asked
-    for, and the way on which rings flow under it.
+    of the law; laws: those of the half-spaces that tau, and e of elastic strings, widen; is_limit: whether the largest
+    factor on the load is asked for, and the way on which rings flow under it.
     """
 
     strength: Array
-    law: MembraneLaw
+    laws: tuple[MembraneLaw, ...]
     is_limit: bool = False
 
 
@@ -137,10 +137,10 @@ class PathResult(Judged):
     is -l.z plus the stored energy, an upper bound of the least potential of this discretisation where the law is
     obeyed, `dual` a lower bound of it, N mm, without the constant that supports add. Equilibrated stress in N per mm of
     reference length: P (nq, d, 2), and tensile S = sum of lam_i S_i (nq, 3), lam (nc,) of the `cones`, with P = F S at
-    the exact answer; psi (nq,): sum of c |y_FL|, no less than any P:F in the law. wall_forces (m,), N: the reaction of
-    each half-space.
-    Of rings that flow tau (nq,), N/mm, is the plastic work per area, and S_strings (nq, 3) what strings bear of S;
-    where their limit is asked for, `dual` and `primal` bound the factor on the load.
+    the exact answer; psi (nq,): sum of c |y_FL|, no less than any P:F in the law, with what elastic strings
+    store no less than P:F less that. wall_forces (m,), N: the reaction of each half-space.
+    Of rings that flow tau (nq,), N/mm, is the plastic work per area, with what elastic strings store, and S_strings
+    (nq, 3) what strings bear of S; where their limit is asked for, `dual` and `primal` bound the factor on the load.
     """
 
     stop: str

@@ -241,6 +241,8 @@ def _literals(kind: Any) -> list[str]:
     """The words that a type allows."""
     if get_origin(kind) is Literal:
         return list(get_args(kind))
+    if kind is bool:
+        return ["true", "false"]
     return [word for part in get_args(kind) for word in _literals(part)]
 
 

@@ -103,7 +103,7 @@ class StringStates(ByValue):
 
     h (n,): the work S:E in the unit of S; E (n, 3); y (n, m): see `StringMesh`; tension (n, k): of the loops in N for S
     in N/mm, spread evenly where balance leaves it open; turn (n, 2, 2): from the axes of y to
-    those of the mesh, in which F is symmetric; mesh, cell: whose they are.
+    those of the mesh, in which F is symmetric; mesh, cell: whose they are; area: of the reference cell, mm2.
     """
 
     cell: Cell
@@ -113,6 +113,7 @@ class StringStates(ByValue):
     y: Array
     tension: Array
     turn: Array
+    area: float
 
     def lattice(self, row: int) -> Array:
         """a1 and a2 (2, 2) in mm."""
@@ -135,8 +136,19 @@ class StringStates(ByValue):
     @property
     def stress(self) -> Array:
         """The largest tension over the wire's cross-section, (n,), in N/mm2 for S in N/mm."""
-        area = np.pi * (self.cell.r2 * self.cell.weave.wires) ** 2
-        return np.asarray((self.tension / area).max(axis=1))
+        return np.asarray((self.tension / self._section).max(axis=1))
+
+    @property
+    def give(self) -> Array:
+        """The root of twice the energy per area of wires that stretch by T 2 pi r1/A, (n,): over that of Young's
+        modulus in (mm/N)^0.5 for S in N/mm. Without friction the tension is the same all along a ring."""
+        energy = self.tension**2 * (2.0 * np.pi * self.cell.r1 * self.cell.weave.radii / self._section)
+        return np.asarray(np.sqrt(energy.sum(axis=1) / self.area))
+
+    @property
+    def _section(self) -> Array:
+        """Cross-sections of the wires (k,), mm2."""
+        return np.asarray(np.pi * (self.cell.r2 * self.cell.weave.wires) ** 2)
 
     def row(self, row: int) -> JsonObject:
         """A load's state as plain values: h_strings, strain, and of each ring the polygon, and whether it is tight."""
@@ -179,7 +191,8 @@ def string_states(cell: Cell, S: Array, sides_mm: tuple[float, float], starts: i
     turn, _, right = np.linalg.svd(F)
     # At the end of the path a multiplier times what is left of its constraint is 1 over the sharpness.
     pull = trace(S)[:, None] * b.prod() * cell.r1 / (SHARPNESS[-1][-1] * _inside(mesh, y)[2])
-    return StringStates(cell, mesh, double_dot(S, E), E, y, pull, turn @ right)
+    area = float(b.prod()) * cell.r1**2
+    return StringStates(cell, mesh, double_dot(S, E), E, y, pull, turn @ right, area)
 
 
 def _largest(mesh: StringMesh, M: Array, pulls: Array) -> Array:

@@ -1,6 +1,7 @@
 """Rings that flow until they are strings: length and work of a strip, force over way of a net, and where it breaks."""
 
 import json
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -18,12 +19,15 @@ from rve.common import digits
 from rve.common.tensor import double_dot
 from rve.locking import string_states
 from tests.commands import run
-from tests.test_macro_fem.sheets import posed
+from tests.test_macro_fem.sheets import posed, sheet
 from tests.test_macro_fem.test_plastic import ALONG, capacity, pulled
 
 LAW = default_law()
 
 STRINGS = {"kind": "plastic", "strings": True}
+ELASTIC = STRINGS | {"strings": "elastic"}
+IN_Y = {"support": {"kind": "edge", "edge": "top", "held": "y"}}
+"""Strings that are pulled lie side by side."""
 
 
 def net(force, cells=4, steps=1, radius=100.0, **solver):
@@ -63,6 +67,63 @@ def test_a_strip_flows_until_it_is_as_long_as_its_strings(times):
     assert (found.summary.limit_factor < 1.0) == (times > 1.0)
 
 
+def stiff(times):
+    """The default law of wire so many times as stiff; no material is so stiff, so that its record does not check."""
+    law, material = LAW, LAW.strength.material
+    material = copy(material)
+    object.__setattr__(material, "young_N_per_mm2", times * material.young_N_per_mm2)
+    return replace(law, strength=replace(law.strength, material=material))
+
+
+def lengthened(line_load):
+    """Stretch along the grain, and by N/mm beyond collapse, of rings in closed form: half of the wire of a ring."""
+    cell, (b_x, b_y) = LAW.cell, LAW.cell.sides_mm
+    area, young = np.pi * cell.r2_mm**2, LAW.strength.material.young_N_per_mm2
+    tension = 0.5 * b_x * line_load
+    ring = np.pi * cell.r1_mm * (1.0 + tension / (young * area)) - 2.0 * (np.pi - 1.0) * cell.r2_mm
+    return 2.0 * ring / b_y, tension / area
+
+
+@pytest.mark.parametrize("times", [4.0, pytest.param(40.0, marks=pytest.mark.slow)])
+def test_strings_lengthen_as_their_wire_under_what_is_beyond_collapse(times):
+    found = solve_problem(posed(pulled([0.0, -times * capacity()]) | IN_Y | {"solver": ELASTIC}))
+    beyond = (times - 1.0) * capacity()
+    (rigid, _), (stretch, tension) = lengthened(0.0), lengthened(beyond)
+    assert found.status == "converged"
+    assert -found.x[:, 1].min() == pytest.approx(300.0 * (stretch - 1.0), rel=1e-6)
+    energy = capacity() * (stretch - 1.0) + 0.5 * beyond * (stretch - rigid)
+    assert found.plastic_work == pytest.approx(200.0 * 300.0 * energy, rel=1e-5)
+    assert string_stress(found) == pytest.approx(tension, rel=1e-5)
+
+
+@pytest.mark.parametrize("height", [300.0, pytest.param(100.0, marks=pytest.mark.slow)])
+def test_supports_draw_elastic_strings_longer_where_those_that_stretch_no_more_have_no_answer(height):
+    """Of strips side by side whose strings are drawn as much longer each bears by its stiffness: 1 over its height."""
+    beyond = 15000.0 / height
+    stretch, _ = lengthened(beyond)
+    sides = [{"kind": "edge", "edge": "top", "held": "y"}, {"kind": "edge", "edge": "bottom", "held": "y"}]
+    sides[1]["move"] = [0.0, -height * (stretch - 1.0)]
+    tables = sheet(200.0, height, 4, sides, load={"gravity": 0.0})
+    rigid, found = (solve_problem(posed(tables | {"solver": solver})) for solver in (STRINGS, ELASTIC))
+    assert rigid.status == "infeasible"
+    assert found.status == "converged"
+    assert found.reactions[:, 1].clip(0.0).sum() == pytest.approx(200.0 * (capacity() + beyond), rel=1e-5)
+
+
+@pytest.mark.slow
+def test_stiffer_strings_come_to_those_that_stretch_no_more():
+    """The potential rises as much as they take up less."""
+    tables = net(8000.0, 2)
+    rigid = solve_problem(posed(tables))
+    found = [solve_problem(posed(tables | {"solver": ELASTIC | {"space": True}}, stiff(t))) for t in (1.0, 1e2, 1e6)]
+    below = np.array([(rigid.primal - one.primal) / abs(rigid.primal) for one in found])
+    assert [one.status for one in found] == ["converged"] * 3
+    assert below[0] > 1e-5
+    assert below[:2] == pytest.approx(below[0] * np.array([1.0, 1e-2]), rel=0.02)
+    assert abs(below[2]) < 1e-8
+    assert found[2].plastic_work == pytest.approx(rigid.plastic_work, rel=1e-5)
+
+
 @pytest.mark.slow
 def test_the_energy_of_a_net_is_force_times_way_and_no_strain_is_beyond_its_strings():
     found, law, rng = solve(read_scene(net(8000.0, steps=10)), LAW), LAW, np.random.default_rng(5)
@@ -85,13 +146,14 @@ def test_the_energy_of_a_net_is_force_times_way_and_no_strain_is_beyond_its_stri
 
 
 @pytest.mark.slow
-def test_a_net_breaks_at_the_band_of_its_strings():
-    summary = solve(read_scene(net(3000.0)), LAW).summary
+@pytest.mark.parametrize(("cells", "strings"), [(4, True), (2, "elastic")])
+def test_a_net_breaks_at_the_band_of_its_strings(cells, strings):
+    summary = solve(read_scene(net(3000.0, cells, strings=strings)), LAW).summary
     first, last = summary.rupture_factor
     assert first < last
     assert np.diff(summary.way_at_rupture_mm)[0] > 0.0
     assert np.diff(summary.energy_until_rupture_N_mm)[0] > 0.0
-    broken = solve(read_scene(net(3000.0 * first)), LAW).summary
+    broken = solve(read_scene(net(3000.0 * first, cells, strings=strings)), LAW).summary
     assert broken.strings_stress_N_per_mm2 == pytest.approx(summary.rupture_stress_N_per_mm2[0], rel=0.05)
     assert broken.plastic_work_N_mm == pytest.approx(summary.energy_until_rupture_N_mm[0], rel=0.01)
 
@@ -155,11 +217,28 @@ def bounded(tables):
     return bound(solve_problem(admissible_problem(scene, LAW, build_mesh(scene, LAW.cell))))
 
 
-def test_bounds_of_a_strip_of_strings_meet():
-    tables = pulled([0.0, -1.01 * capacity()], cells=2)
-    found = bounded(tables | {"support": {"kind": "edge", "edge": "top", "held": "y"}, "solver": STRINGS})
+@pytest.mark.parametrize(("times", "solver"), [(1.01, STRINGS), (4.0, ELASTIC)])
+def test_bounds_of_a_strip_of_strings_meet(times, solver):
+    tables = pulled([0.0, -times * capacity()], cells=2)
+    found = bounded(tables | IN_Y | {"solver": solver})
     assert found.status == found.solution.status == "converged"
     assert 0.0 <= found.gap < 1e-5 * found.solution.plastic_work
+
+
+@pytest.mark.slow
+def test_bounds_of_a_pushed_net_of_elastic_strings_hold_the_finer_ones():
+    """Pressure is the same on every mesh. Where points are held its strings stretch without end, and have no bounds."""
+    tables = net(0.0, strings="elastic")
+    tables["load"] = {"gravity": 0.0, "wind": {"pressure": 2e5, "direction": [0.1, -0.6, -1.0]}}
+    coarse, fine = (bounded(tables | {"mesh": {"cells": cells, "pattern": "diagonal"}}) for cells in (2, 4))
+    assert {one.status for one in (coarse, fine, coarse.solution, fine.solution)} == {"converged"}
+    assert string_stress(coarse.solution) > 10.0
+    assert max(coarse.lower, fine.lower) < fine.upper <= coarse.upper
+    assert fine.gap < 0.7 * coarse.gap
+    assert coarse.error.min() > -1e-6 * coarse.gap
+    assert coarse.error.sum() == pytest.approx(coarse.gap, rel=0.01)
+    with pytest.raises(InputError, match="bounds do not go with points held or loaded one by one"):
+        bounded(tables | {"support": {"kind": "corners"}})
 
 
 @pytest.mark.slow

@@ -215,6 +215,30 @@ def test_tension_is_in_balance_with_the_load_and_grows_with_it():
         assert found.stress[row] == pytest.approx(0.5 * 3.0 * ratio * pitch / (np.pi * 0.25), rel=1e-4)
 
 
+@pytest.mark.parametrize("name", ["4-in-1", "6-in-1"])
+def test_wire_that_stretches_gains_work_by_the_square_of_its_give(name):
+    """Rings share these loads alike, so that wire under tension is that of larger rings."""
+    cell, young = cell_of(name), 1e8
+    S, sides = np.vstack([ALONG, loads_of(3, 7)]), reference_cell(cell).sides_mm
+    found = string_states(cell, S, sides)
+    for row, strain in enumerate(found.stress / young):
+        longer = replace(cell, r1=cell.r1 * (1.0 + strain))
+        gain = string_states(longer, S[row : row + 1], sides).h[0] - found.h[row]
+        assert gain == pytest.approx(found.give[row] ** 2 / young, rel=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*WEAVES, "own"])
+def test_rings_share_all_loads_alike_but_in_japanese_weaves(name):
+    """Cosines between the tensions of loads, each ring's by the root of what it stores."""
+    cell = cell_of(name)
+    found = string_states(cell, np.vstack([ALONG, ACROSS, loads_of(3, 7)]), reference_cell(cell).sides_mm, 6)
+    stored = found.tension * np.sqrt(cell.weave.radii) / cell.weave.wires
+    stored /= np.linalg.norm(stored, axis=1)[:, None]
+    least = (stored @ stored.T).min()
+    assert 0.6 < least < 0.8 if name.startswith("japanese") else least > 1.0 - 1e-6
+
+
 @pytest.mark.parametrize("name", ["4-in-1", "own"])
 def test_wires_touch_between_the_places_of_both(name):
     cell = cell_of(name)
