@@ -27,11 +27,12 @@ from rve.placed import (
     nearest_poses,
     shares,
 )
-from rve.placed.drawn import ALONG, AROUND
 from rve.solve import locked_block
 
 CELL = Cell()
 WEIGHTS = np.array([1.0, 2.0, 1.0])
+ALONG, AROUND = 24, 8
+"""Cells of a drawn ring along its wire and around it."""
 
 
 @pytest.fixture(scope="module")
