@@ -16,6 +16,7 @@ PAGES = {
     "docs/reports/work_precision.md": ("rve", "contact", "law", "curtain", "nested", "chain", "in_motion"),
     "docs/reports/stability.md": ("extremes",),
     "docs/reports/omissions.md": ("motion", "rings", "curtains"),
+    "docs/reports/options.md": ("options",),
     "docs/reports/every_ring.md": ("disk", "let_go", "cell", "generic", "starts", "hooks", "growth"),
     "docs/measured/steel.md": ("steel",),
     "docs/measured/scaling.md": ("scaling",),
