@@ -3,11 +3,13 @@
 import html
 import os
 import re
+import shlex
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ import homogenize
 import macro_fem
 import rve
 from homogenize.io import law_kinds
+from tests.commands import GROUPS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 BLOCK = re.compile(r"^```(bash|toml|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -25,10 +28,24 @@ def blocks(page: str) -> list[tuple[str, str]]:
     return BLOCK.findall((DOCS / page).read_text(encoding="utf-8"))
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize("page", ["../README.md", "tutorial.md", "how_to.md"])
+def test_commands_of_the_page_have_the_options_that_it_gives(page):
+    found = 0
+    for text in (text.replace("\\\n", " ") for kind, text in blocks(page) if kind == "bash"):
+        for package, name, words in re.findall(r"python -m (rve|homogenize|macro_fem) (\S+)([^\n#&|>]*)", text):
+            command = GROUPS[package].commands[name]
+            command.make_parser(click.Context(command, **command.context_settings)).parse_args(shlex.split(words))
+            found += 1
+    assert found
+
+
 @pytest.mark.parametrize(
     ("page", "kinds"),
-    [("tutorial.md", {"bash", "toml"}), ("how_to.md", {"bash", "toml"}), ("reference/python.md", {"python"})],
+    [
+        pytest.param("tutorial.md", {"bash", "toml"}, marks=pytest.mark.slow),
+        pytest.param("how_to.md", {"bash", "toml"}, marks=pytest.mark.release),
+        pytest.param("reference/python.md", {"python"}, marks=pytest.mark.slow),
+    ],
 )
 def test_the_page_runs_as_it_stands(page, kinds, tmp_path):
     environment = os.environ | {"PYTHONPATH": str(DOCS.parent), "MPLBACKEND": "Agg"}
