@@ -34,7 +34,7 @@ def measure(full: bool) -> Section:
     """The section."""
     sizes = {sheet: sheet.sizes if full else (1, 2) for sheet in SHEETS}
     rows = [compared(sheet, k, space) for sheet in SHEETS for space in (False, True) for k in sizes[sheet]]
-    limits = [limit_row(sheet, space, rows) for sheet in SHEETS for space in (False, True)]
+    limits = [limit_row(sheet, space, rows) for sheet in SHEETS for space in (False, True)] if full else []
     forms = dict.fromkeys((HEIGHT, POTENTIAL, LOWEST, LINE), ".2f") | {"s": ".0f"}
     forms |= {"KKT residual": "at_most", "least gap, mm": "at_most 1e-9"}
     names = "; ".join(f"`{sheet.key}`: {sheet.title}" for sheet in SHEETS)
@@ -53,7 +53,7 @@ def measure(full: bool) -> Section:
     )
     tables = (
         table("Rings less disk", rows, forms),
-        table("Extrapolated to many rings", limits, limit_forms, note),
+        *([table("Extrapolated to many rings", limits, limit_forms, note)] if full else []),
         rule_table(rows),
         spread_table(full, forms),
         weave_table([weave_row(name, *cells) for name, cells in PIECES.items()]),
@@ -195,9 +195,11 @@ def conclusion(rows: Sequence[Row], limits: Sequence[Row]) -> str:
     cost = [plane["_potential"] - space["_potential"] for plane, space in pairs if space is not None]
     least = [n for n in sorted({row["cells across"] for row in rows}) if worst_from(rows, n, False) is not None]
     rule = "; ".join(f"{n} cells across: {worst_from(rows, n, False):.1f} %" for n in least)
+    inside = f"inside the disk's interval, give or take twice the error, in {count_of(fitted)} rows"
     return (
         "Under its weight a curtain with centres free in space hangs where the disk does, in mean height and as a "
-        f"part of the height, if it has at least {rule}. The extrapolated potential is inside the disk's interval, "
-        f"give or take twice the error, in {count_of(fitted)} rows. Confinement to the plane raises "
-        f"the potential by {min(cost):.2g} to {max(cost):.2g} % of weight times height."
+        f"part of the height, if it has at least {rule}. "
+        + (f"The extrapolated potential is {inside}. " if fitted else "")
+        + f"Confinement to the plane raises the potential by {min(cost):.2g} to {max(cost):.2g} % of weight times "
+        "height."
     )
