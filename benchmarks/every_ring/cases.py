@@ -20,6 +20,8 @@ from rve.finite import FiniteSolution
 Array = NDArray[np.float64]
 AREAL_MASS = 2.8
 GRAVITY = 9.81
+SCALE = 10
+"""k of the sheet that is solved as a disk, and scaled to k = 1, at which patches are smaller than a ring."""
 ACROSS = 3
 """Line loads are averaged over squares of this many reference cells along each side."""
 
@@ -106,14 +108,14 @@ def _line_load(solution: FiniteSolution) -> Array:
 
 @cache
 def disk_case(sheet: Sheet, cells: int) -> Case:
-    """The disk of a sheet with k = 1, with bounds. Arrays: middle, P, area of triangles."""
-    result = solve(sheet.scene(1, cells, bounds=True))
+    """The disk of a sheet, scaled to k = 1, with bounds. Arrays: middle, P, area of triangles."""
+    result = solve(sheet.scene(SCALE, cells, bounds=True))
     solution = result.solution
     disc, summary = solution.problem.disc, result.summary["bounds"]
     count = len(solution.problem.mesh.mesh.t.T)
-    P = disc.cell_mean(solution.P).reshape(count, -1)[:, :4].reshape(count, 2, 2)
-    numbers: Row = {"mean_height_mm": solution.mean_height(), "lowest_mm": float(solution.x[:, 1].min())}
-    numbers["potential_N_mm"] = [summary["lower_N_mm"], summary["upper_N_mm"]]
-    middle = solution.problem.mesh.mesh.p[:, solution.problem.mesh.mesh.t].mean(axis=1).T
-    area = disc.weight.reshape(disc.n_quad, -1).sum(axis=0)
+    P = disc.cell_mean(solution.P).reshape(count, -1)[:, :4].reshape(count, 2, 2) / SCALE
+    numbers: Row = {"mean_height_mm": solution.mean_height() / SCALE, "lowest_mm": solution.x[:, 1].min() / SCALE}
+    numbers["potential_N_mm"] = [summary[f"{end}_N_mm"] / SCALE**3 for end in ("lower", "upper")]
+    middle = solution.problem.mesh.mesh.p[:, solution.problem.mesh.mesh.t].mean(axis=1).T / SCALE
+    area = disc.weight.reshape(disc.n_quad, -1).sum(axis=0) / SCALE**2
     return Case(numbers, {"middle": middle, "P": P, "area": area})

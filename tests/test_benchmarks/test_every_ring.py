@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.every_ring import let_go
 from benchmarks.every_ring.brute import least_gap, linked_pairs, minima_of
-from benchmarks.every_ring.cases import SHEETS
+from benchmarks.every_ring.cases import SHEETS, disk_case
 from benchmarks.every_ring.cell import edge_forces
 from benchmarks.every_ring.hooks import peak
 from benchmarks.every_ring.starts import random_start
@@ -28,6 +28,19 @@ def test_brute_force_knows_two_circles():
     assert distance[pair == 1].min() == pytest.approx(0.4)
     assert linked_pairs(centre, normal, 1.0) == {(0, 1)}
     assert least_gap(centre, normal, 1.0, 0.05) == pytest.approx(0.1)
+
+
+@pytest.mark.slow
+def test_the_disk_of_a_small_sheet_bears_its_weight_and_a_pull_over_less_than_a_ring():
+    """A pull over a circle of 8 mm, of rings of r1 = 5 mm; P along the grain times the width is the weight below."""
+    at_a_point, over_a_circle = (disk_case(replace(SHEETS[-1], spread=d), 4).numbers for d in (0.0, 0.1875))
+    assert over_a_circle["mean_height_mm"] == pytest.approx(at_a_point["mean_height_mm"], rel=0.05)
+    sheet = replace(SHEETS[1], gather=1.0, weave_angle=0.0)
+    found, (W, H) = disk_case(sheet, 4).arrays, sheet.sides(1)
+    below = found["area"] @ found["middle"][:, 1] / found["area"].sum() / H
+    assert found["area"] @ found["P"][:, 1, 1] / found["area"].sum() * W == pytest.approx(
+        below * sheet.weight(1), rel=1e-4
+    )
 
 
 def test_edge_forces_are_those_of_the_line_load():
