@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 AREAL_MASS = 2.8
 GRAVITY = 9.81
 SCALE = 10
-"""k of the sheet that is solved as a disk, and scaled to k = 1, at which patches are smaller than a ring."""
+"""k of the sheet that is solved as a disk, then scaled to k = 1. Solved at 1, patches would be smaller than a ring."""
 ACROSS = 3
 """Line loads are averaged over squares of this many reference cells along each side."""
 

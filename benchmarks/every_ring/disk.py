@@ -53,7 +53,7 @@ def measure(full: bool) -> Section:
     )
     tables = (
         table("Rings less disk", rows, forms),
-        *([table("Extrapolated to many rings", limits, limit_forms, note)] if full else []),
+        *([table("Extrapolated to many rings", limits, limit_forms, note)] if limits else []),
         rule_table(rows),
         spread_table(full, forms),
         weave_table([weave_row(name, *cells) for name, cells in PIECES.items()]),
